@@ -1,0 +1,11 @@
+"""Replay demonstrations with a Bayesian filter over records and moments.
+
+After Magnenat, Pradalier & Colas, *Towards Non-Parametric Bayesian Learning of Robot
+Behaviors from Demonstration*. Equation and section numbers throughout are that paper's.
+"""
+
+from jaxreplay.filter import Belief, Filter, build_filter
+from jaxreplay.params import Params
+from jaxreplay.records import Records
+
+__all__ = ["Belief", "Filter", "Params", "Records", "build_filter"]

@@ -1,0 +1,94 @@
+"""The transition model (§ 2.2.3) and the prediction it makes (§ 2.3.1)."""
+
+import jax
+import jax.numpy as jnp
+
+from jaxreplay.params import Params
+from jaxreplay.records import Records
+from jaxreplay.scaled import Scaled, scaled, select
+from jaxreplay.stage import stage
+
+
+@stage
+def record_transition(theta_i: jax.Array, mass: Scaled) -> Scaled:
+    """Equation 3: stay in the record with 1 − θ_I, else jump to any of the others alike.
+
+    With N = 1 there is nowhere to jump: the identity (the paper leaves it open).
+
+    Args:
+        theta_i: θ_I.
+        mass: `[N, …]` the mass in each record.
+
+    Returns:
+        `[N, …]` the mass after the jump.
+    """
+    n = mass.exponent.shape[0]
+    if n == 1:
+        return mass
+    return scaled(1 - theta_i) * mass + scaled(theta_i / (n - 1)) * _sum_of_others(mass)
+
+
+@stage
+def time_transition(records: Records, theta_tau: jax.Array, mass: Scaled) -> Scaled:
+    """Equation 4: a 3-tap convolution along τ, with (θ_τ, 1 − 2θ_τ, θ_τ) for +0, +1, +2.
+
+    The last sample of a record absorbs what would pass it (decided; the paper is silent).
+
+    Args:
+        records: N records.
+        theta_tau: θ_τ.
+        mass: `[N, L]` the mass at each moment.
+
+    Returns:
+        `[N, L]` the mass after the step.
+    """
+    last = jnp.arange(records.longest) == records.lengths[:, None] - 1
+    before = mass.padded((2, 0))
+    by_0 = scaled(jnp.where(last, 1.0, theta_tau)) * mass
+    by_1 = scaled(jnp.where(last, 1 - theta_tau, 1 - 2 * theta_tau)) * before[:, 1:-1]
+    by_2 = scaled(theta_tau) * before[:, :-2]
+    return (by_0 + by_1 + by_2).where(_inside(records))
+
+
+def predict_same_tau(records: Records, params: Params, belief: Scaled) -> Scaled:
+    """Equation 6 as printed: a jump keeps τ, the moment of the record it leaves.
+
+    The step along τ is taken in the record that is left, then comes the jump. Mass that lands
+    past the end of the record it jumps to is dropped and the rest renormalised once; if
+    nothing remains (θ_I = 1 into ended records), the belief before the step is kept.
+    """
+    moved = time_transition(records, params.theta_tau, belief)
+    landed = record_transition(params.theta_i, moved).where(_inside(records))
+    remaining = landed.sum()
+    return select(remaining.mantissa > 0, landed / remaining, belief)
+
+
+def predict_own_tau(records: Records, params: Params, belief: Scaled) -> Scaled:
+    """Equation 6, each record keeping its own conditional over τ: a jump lands where it stands.
+
+    p(I_t = i, τ_t) = [Σ_i' p(I_t = i | i') p(I_{t−1} = i')] [Σ_τ' p(τ_t | τ') p(τ' | i)], the
+    reading of the authors' later code. It is not the exact filter of equation 1: the evidence
+    under it is that of this approximation, and a record's τ may fall behind another's, which
+    equation 4 forbids.
+    """
+    weight = belief.sum(axis=1)[:, None]
+    conditional = time_transition(records, params.theta_tau, belief / weight)
+    return record_transition(params.theta_i, weight) * conditional
+
+
+def _inside(records: Records) -> jax.Array:
+    """Which of `[N, L]` are moments of a record, not padding."""
+    return jnp.arange(records.longest) < records.lengths[:, None]
+
+
+def _sum_of_others(mass: Scaled) -> Scaled:
+    """Σ_{i' ≠ i} mass[i'] for every i along axis 0, without cancellation.
+
+    The sum less the term itself is exact enough where a larger term remains in it; only the
+    largest term needs a sum of its own, of the rest.
+    """
+    terms, exponent = mass.aligned(axis=0)
+    row = jnp.arange(len(terms)).reshape((-1,) + (1,) * (terms.ndim - 1))
+    is_top = row == jnp.argmax(mass.exponent, axis=0)
+    rest = mass.where(~is_top).sum(axis=0)
+    return select(is_top, rest, scaled(jnp.sum(terms, axis=0) - terms, exponent))

@@ -1,0 +1,94 @@
+"""A window that travels with the belief, so that a step's cost does not grow with the records.
+
+The equations run unchanged on a *view*: the records cut to the W moments that are held, with
+their lengths counted from the window's start. What moves is the start. A belief that is wider
+than its window loses what falls off either edge; the loss is measured, and the largest of a step
+kept in `Belief.dropped`: do a step that lost too much again, from the belief before it brought to
+a wider window by :func:`resize`. Until its window moves a belief loses nothing: after t steps
+τ ≤ 2 t.
+"""
+
+import dataclasses
+from functools import partial
+from typing import TYPE_CHECKING
+
+import jax
+import jax.numpy as jnp
+
+from jaxreplay.records import Records
+from jaxreplay.scaled import Scaled, less
+
+if TYPE_CHECKING:
+    from jaxreplay.filter import Belief
+
+STRIDE = 8  # moments a window moves by, or not at all
+REACH = 2  # moments a step of equation 4 advances at most
+_BEHIND, _AHEAD = slice(None, STRIDE), slice(-STRIDE, None)
+
+
+def view(records: Records, belief: "Belief") -> Records:
+    """The records as `[N, W]` moments from `belief.start`, for the equations to run on."""
+    held = belief.p.mantissa.shape[-1]
+    if held == records.longest:
+        return records
+    return dataclasses.replace(
+        records,
+        nodes=_cut(records.nodes, belief.start, held + 2),
+        commands=_cut(records.commands, belief.start, held),
+        lengths=records.lengths - belief.start,
+    )
+
+
+def follow(records: Records, belief: "Belief") -> "Belief":
+    """Before a prediction, move windows on where more is about to leave in front than behind."""
+    held = belief.p.mantissa.shape[-1]
+    if held == records.longest:
+        return belief
+    axes = (0, 1) if belief.start.ndim == 0 else 1
+    behind, ahead = (belief.p[:, part].sum(axes) for part in (_BEHIND, _AHEAD))
+    room = records.longest - held - belief.start
+    stride = jnp.where(less(behind, ahead), jnp.minimum(STRIDE, room), 0)
+
+    column = jnp.arange(held)
+    leaving = column < stride[..., None]
+    p = _window(belief.p.padded((0, STRIDE)), stride, held)
+    start = belief.start + stride
+    passing = (column >= held - REACH) & (start + held < records.lengths)[:, None]
+    lost = belief.p.where(leaving).sum().value() + p.where(passing).sum().value()
+    return belief._replace(p=p, start=start, dropped=jnp.maximum(belief.dropped, lost))
+
+
+def resize(records: Records, belief: "Belief", window: int | None) -> "Belief":
+    """The same belief in a wider or narrower window; None holds all moments.
+
+    A narrower one is laid where it loses least, and the loss counts as dropped.
+    """
+    held, wanted = belief.p.mantissa.shape[-1], min(window or records.longest, records.longest)
+    if wanted >= held:
+        start = jnp.clip(belief.start - (wanted - held) // 2, 0, records.longest - wanted)
+        p = belief.p.padded((wanted - held, wanted - held))
+        p = _window(p, start - belief.start + (wanted - held), wanted)
+        return belief._replace(p=p, start=start)
+    mass = belief.p.value()
+    mass = mass.sum(axis=0) if belief.start.ndim == 0 else mass
+    before = jnp.cumsum(mass, axis=-1) - mass
+    after = jnp.flip(jnp.cumsum(jnp.flip(mass, -1), axis=-1), -1)
+    after = jnp.pad(after, [(0, 0)] * (mass.ndim - 1) + [(0, 1)])
+    loss = before[..., : held - wanted + 1] + after[..., wanted:]
+    dropped = jnp.maximum(belief.dropped, jnp.min(loss, axis=-1).sum())
+    cut = jnp.argmin(loss, axis=-1).astype(belief.start.dtype)
+    return belief._replace(
+        p=_window(belief.p, cut, wanted), start=belief.start + cut, dropped=dropped
+    )
+
+
+def _window(p: Scaled, start: jax.Array, width: int) -> Scaled:
+    return Scaled(_cut(p.mantissa, start, width), _cut(p.exponent, start, width))
+
+
+def _cut(array: jax.Array, start: jax.Array, width: int) -> jax.Array:
+    """`width` columns of `[…, N, columns]`, from one start or from one for each of the N."""
+    if start.ndim == 0:
+        return jax.lax.dynamic_slice_in_dim(array, start, width, axis=-1)
+    cut = jax.vmap(partial(jax.lax.dynamic_slice_in_dim, slice_size=width, axis=-1), (-2, 0), -2)
+    return cut(array, start)
