@@ -11,13 +11,17 @@ def stage(function: Callable) -> Callable:
     """The function as a stage of its own in the compiled program, its results stored once.
 
     Left to itself XLA on CPU fuses a filter step into few loops and computes a value again at
-    every use: ten times the work here.
+    every use: ten times the work here. Within the stage it may fuse as it likes.
     """
-    jitted = jax.jit(function)
+
+    @jax.jit
+    def body(*args):
+        with set_xla_metadata(inlineable=None):
+            return function(*args)
 
     @wraps(function)
     def call(*args):
         with set_xla_metadata(inlineable="false"):
-            return jitted(*args)
+            return body(*args)
 
     return call
