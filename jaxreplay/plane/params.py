@@ -1,0 +1,75 @@
+"""Every constant of the plane, with its source. SI units, angles in radians.
+
+The paper names the robot and its sensors but gives almost no number; what it leaves open is an
+*assumption*, said so here. The robot starts at the origin, heading along +x; y is to its left.
+"""
+
+from dataclasses import dataclass
+from math import pi
+
+SENSOR_NAMES = ("camera", *(f"proximeter_{k}" for k in range(6)))
+COMMAND_NAMES = ("left_track", "right_track", "elevation", "tilt", "magnet")
+SENSOR_RANGES = (2.0, *6 * (1.0,))  # camera −1 … 1, proximeters 0 … 1
+
+GRAVITY = 9.81
+
+
+@dataclass(frozen=True)
+class PlaneParams:
+    """What is fixed for a run."""
+
+    # Time
+    control_period: float = 0.1  # s; assumption
+    substeps: int = 10  # physics steps per control step
+    time_limit: float = 180.0  # s; paper: Fs is a run of more than 3 minutes
+
+    # Robot: marXbot
+    hull_radius: float = 0.085  # Enki, ARGoS
+    mass: float = 1.6  # kg; ARGoS
+    track_separation: float = 0.15  # Enki
+    top_speed: float = 0.30  # m/s; Enki
+    wheel_noise: float = 0.02  # each track's speed ± this share, uniform; Enki
+    motor_unit: float = 0.005  # m/s a unit; the paper says "relatively low resolution"; assumption
+    traction: float = 0.6  # tracks on floor, friction coefficient; assumption
+
+    # Gripper, in front of the hull, with the magnet's face at its end; all assumptions
+    reach: float = 0.135  # of the magnet's face from the robot's centre
+    gripper_width: float = 0.064
+    low: float = 0.03  # head's height with the gripper down: the middle of the cube
+    high: float = 0.12  # … and up
+    elevation_speed: float = 0.03  # m/s
+    scanning_tilt: float = pi / 2  # proximeters look ahead, the magnet down
+    tilt_speed: float = 0.8  # rad/s
+    grasping_tilt: float = 0.2  # the magnet counts as facing ahead below this
+
+    # Magnet; all assumptions
+    magnet_gap: float = 0.003  # largest gap to the cube's face that it closes
+    magnet_angle: float = pi / 12  # largest angle to that face
+    magnet_offset: float = 0.015  # largest lateral distance to the face's centre
+    magnet_force: float = 2.0  # N
+    lift: float = 0.03  # a cube raised by this much is lifted
+
+    # Cube
+    side: float = 0.06  # assumption
+    cube_mass: float = 0.005  # kg; polystyrene, 15–30 kg/m³
+    floor_friction: float = 0.4  # cube on floor; assumption
+    contact_friction: float = 0.5  # cube on robot; assumption
+
+    # Camera at the robot's centre
+    field_of_view: float = pi * 70 / 180  # assumption: the whole set of positions is in view
+    camera_noise: float = 0.005  # standard deviation; assumption
+
+    # Infrared proximeters on the gripper head, side by side, looking ahead when it scans
+    proximeter_offsets: tuple[float, ...] = (0.030, 0.018, 0.006, -0.006, -0.018, -0.030)
+    proximeter_range: float = 0.10  # ARGoS, FARSA
+    beam_half_angle: float = pi * 8 / 180  # assumption
+    beam_rays: int = 5
+    proximeter_noise: float = 0.01  # standard deviation; assumption
+
+    # Experimental area: the robot's hull crossing its border ends a run; assumption
+    area: tuple[float, float, float, float] = (-0.25, 0.75, -0.35, 0.35)  # x, x, y, y
+
+    @property
+    def max_steps(self) -> int:
+        """Control steps within the time limit."""
+        return round(self.time_limit / self.control_period)
