@@ -7,5 +7,6 @@ Behaviors from Demonstration*. Equation and section numbers throughout are that 
 from jaxreplay.filter import Belief, Filter, build_filter
 from jaxreplay.params import Params
 from jaxreplay.records import Records
+from jaxreplay.study import open_study
 
-__all__ = ["Belief", "Filter", "Params", "Records", "build_filter"]
+__all__ = ["Belief", "Filter", "Params", "Records", "build_filter", "open_study"]
