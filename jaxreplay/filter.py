@@ -112,7 +112,7 @@ def update(
         records: N records of n_s sensors.
         params: σ is used here, θ_I and θ_τ are not.
         belief: the predicted belief, p(I_t, τ_t | Z_{1:t−1}).
-        z: `[n_s]` Z_t, finite.
+        z: `[n_s]` Z_t; NaN for a sensor that gave nothing.
 
     Returns:
         The belief p(I_t, τ_t | Z_{1:t}), and log p(Z_t | Z_{1:t−1}), the log evidence.

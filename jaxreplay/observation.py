@@ -57,22 +57,24 @@ def likelihood(records: Records, sigma: jax.Array, z: jax.Array, anchor: jax.Arr
 
     Open points of the paper, decided: N(t, σ²) is the normal density of Z_t − t; at a
     record's ends the one segment there carries full weight; a segment of no length is the
-    point Gaussian, its limit; a record of length 1 is a point.
+    point Gaussian, its limit; a record of length 1 is a point. A NaN in z is a sensor that
+    gave nothing, and tells no state from another.
 
     Args:
         records: N records.
         sigma: `[n_s]` σ.
-        z: `[n_s]` the observation Z_t.
+        z: `[n_s]` the observation Z_t, NaN where a sensor is missing.
         anchor: `[n_s]` any point, best the one :func:`nearest_point` gives.
 
     Returns:
         `[N, L]` p(Z_t | i, j) / p(Z_t | anchor), the anchor a point Gaussian (see
         :func:`log_density`). Values past a record's end mean nothing.
     """
-    sigma, z, anchor = (value[:, None, None] for value in (sigma, z, anchor))
+    z, seen = _seen(records, z)
+    sigma, z, anchor, seen = (value[:, None, None] for value in (sigma, z, anchor, seen))
     nodes = _nodes(records.nodes, sigma, z, anchor)
     segments = _segments(nodes, sigma, z, _density_ratio(z, sigma, z, anchor))
-    return _states(segments)
+    return _states(segments, seen)
 
 
 def nearest_point(records: Records, sigma: jax.Array, z: jax.Array, prior: Scaled) -> jax.Array:
@@ -81,20 +83,29 @@ def nearest_point(records: Records, sigma: jax.Array, z: jax.Array, prior: Scale
     It is the point closest to z, in σ, of the segments of the state that equation 9 is about
     to favour, `prior` being the predicted belief, `[N, L]`.
     """
+    z, seen = _seen(records, z)
     some = records.nodes[:, 0, 1]
     score = jnp.where(prior.mantissa == 0, -jnp.inf, prior.exponent.astype(z.dtype))
     for k in range(records.n_sensors):
         nodes = records.nodes[k]
         point = _nearest(z[k], nodes[:, :-2], nodes[:, 1:-1], nodes[:, 2:])
-        score += _log2_ratio(point, z[k], some[k], sigma[k])[0]
+        score += jnp.where(seen[k], _log2_ratio(point, z[k], some[k], sigma[k])[0], 0.0)
     i, j = jnp.unravel_index(jnp.argmax(score), score.shape)
     nodes = records.nodes
     return _nearest(z, nodes[:, i, j], nodes[:, i, j + 1], nodes[:, i, j + 2])
 
 
 def log_density(z: jax.Array, point: jax.Array, sigma: jax.Array) -> jax.Array:
-    """Log of the point Gaussian N(z; point, σ²), summed over the n_s sensors."""
-    return jnp.sum(-(((z - point) / sigma) ** 2) / 2 - jnp.log(sigma * SQRT_2PI))
+    """Log of the point Gaussian N(z; point, σ²), summed over the sensors that are not missing."""
+    seen = ~jnp.isnan(z)
+    distance = (jnp.where(seen, z, point) - point) / sigma
+    return jnp.sum(jnp.where(seen, -(distance**2) / 2 - jnp.log(sigma * SQRT_2PI), 0.0))
+
+
+def _seen(records: Records, z: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """The observation with something finite for missing sensors, and which are not missing."""
+    seen = ~jnp.isnan(z)
+    return jnp.where(seen, z, records.nodes[:, 0, 1]), seen
 
 
 def _nearest(z, *nodes):
@@ -158,11 +169,12 @@ def _segments(nodes: _Nodes, sigma, z, peak: Scaled) -> Scaled:
 
 
 @stage
-def _states(segments: Scaled) -> Scaled:
+def _states(segments: Scaled, seen) -> Scaled:
     """Half of each of the two segments at every sample, multiplied over sensors: `[N, L]`."""
     left, right = segments[..., :-1], segments[..., 1:]
     exponent = jnp.maximum(left.exponent, right.exponent)
-    return product(scaled(left.at(exponent) + right.at(exponent), exponent - 1))
+    both = jnp.where(seen, left.at(exponent) + right.at(exponent), 2.0)
+    return product(scaled(both, jnp.where(seen, exponent, 0) - 1))
 
 
 def _density_ratio(point, sigma, z, anchor) -> Scaled:

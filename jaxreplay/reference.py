@@ -42,9 +42,12 @@ def log_segment_mean(z, start, end, sigma):
 
 
 def log_observation(z, record, sigma):
-    """Equation 2 for all moments of one (L_i, n_s) record: an (L_i,) array."""
+    """Equation 2 for all moments of one (L_i, n_s) record: an (L_i,) array.
+
+    A NaN in z is a missing sensor, and contributes nothing.
+    """
     total = np.zeros(len(record))
-    for k in range(record.shape[1]):
+    for k in np.flatnonzero(~np.isnan(z)):
         zeta = record[:, k]
         if len(zeta) == 1:
             total += log_segment_mean(z[k], zeta, zeta, sigma[k])

@@ -82,16 +82,13 @@ class Scaled(NamedTuple):
 
 
 def scaled(mantissa: jax.Array, exponent: jax.Array | int = 0) -> Scaled:
-    """A normalised number: mantissa in [1, 2), or 0."""
+    """A normalised number: mantissa in [1, 2), or 0; the one given below 2^126 (float32)."""
     integer, bits, bias = _LAYOUT[mantissa.dtype]
     pattern = jax.lax.bitcast_convert_type(jax.lax.stop_gradient(mantissa), integer)
     shift = (pattern >> bits).astype(jnp.int32) - bias
     zero = pattern >> bits == 0  # what XLA flushes to zero is zero
     total = jnp.maximum(shift + exponent, LOWEST)
-    # the shift reaches 126 either way and 2^−shift must be normal: two factors
-    half = shift // 2
-    unit = mantissa * _power_of_two(-half, mantissa.dtype)
-    unit = unit * _power_of_two(half - shift, mantissa.dtype)
+    unit = mantissa * _power_of_two(-shift, mantissa.dtype)
     return Scaled(jnp.where(zero, 0.0, unit), jnp.where(zero, ZERO[1], total))
 
 
