@@ -5,8 +5,19 @@ Behaviors from Demonstration*. Equation and section numbers throughout are that 
 """
 
 from jaxreplay.filter import Belief, Filter, build_filter
+from jaxreplay.live import Replayer
+from jaxreplay.offline import log_evidence
 from jaxreplay.params import Params
 from jaxreplay.records import Records
 from jaxreplay.study import open_study
 
-__all__ = ["Belief", "Filter", "Params", "Records", "build_filter", "open_study"]
+__all__ = [
+    "Belief",
+    "Filter",
+    "Params",
+    "Records",
+    "Replayer",
+    "build_filter",
+    "log_evidence",
+    "open_study",
+]

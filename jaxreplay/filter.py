@@ -1,8 +1,9 @@
 """The Bayesian filter over records and moments (§ 2.2 and 2.3).
 
 The order of a control step is predict, command, act, observe, update (§ 2.3), so that time
-alone can trigger a command. All functions are pure and jitted; they take one replay and are
-meant to be `jax.vmap`-ped over params, belief and z, with the records shared.
+alone can trigger a command. All functions are pure, and jitted in what :func:`build_filter`
+gives; they take one replay and are meant to be `jax.vmap`-ped over params, belief and z, with the
+records shared.
 """
 
 from collections.abc import Callable
@@ -77,7 +78,12 @@ def build_filter(jump: str = "same_tau", window: int | None = None) -> Filter:
         posterior,
         end_probability,
     )
-    return Filter(*(jax.jit(function) for function in functions))
+    filter = Filter(*(jax.jit(function) for function in functions))
+
+    def update_raw(records: Records, params: Params, belief: Belief, z: jax.Array):
+        return filter.update(records, params, belief, records.centre(z))
+
+    return filter._replace(update=update_raw)
 
 
 def init(records: Records, jump: str = "same_tau", window: int | None = None) -> Belief:
@@ -112,7 +118,8 @@ def update(
         records: N records of n_s sensors.
         params: σ is used here, θ_I and θ_τ are not.
         belief: the predicted belief, p(I_t, τ_t | Z_{1:t−1}).
-        z: `[n_s]` Z_t; NaN for a sensor that gave nothing.
+        z: `[n_s]` Z_t; NaN for a sensor that gave nothing. Less the records' offset: a
+            :class:`Filter` subtracts it first (see `Records.centre`).
 
     Returns:
         The belief p(I_t, τ_t | Z_{1:t}), and log p(Z_t | Z_{1:t−1}), the log evidence.
@@ -124,10 +131,7 @@ def update(
     sigma = jnp.asarray(params.sigma, records.nodes.dtype)
     for name, value in (("z", z), ("sigma", sigma)):
         if value.shape != (records.n_sensors,):
-            raise ValueError(
-                f"{name} has shape {value.shape}; the records have {records.n_sensors} sensors "
-                f"({', '.join(records.sensor_names)}), so ({records.n_sensors},) is needed"
-            )
+            raise records.misfit(name, value.shape)
     held = view(records, belief)
     anchor = jax.lax.stop_gradient(nearest_point(held, sigma, z, belief.p))
     joint = belief.p * likelihood(held, sigma, z, anchor)

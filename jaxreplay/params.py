@@ -44,7 +44,7 @@ class Params:
             if not good.all():
                 bad = given if given.ndim == 0 else given[~good].flat[0]
                 allowed = "> 0 and finite" if low is None else f"in [{low:g}, {high:g}]"
-                raise ValueError(f"{name} ({symbol}) must be {allowed}; got {bad}")
+                raise ValueError(f"{name} ({symbol}) must be {allowed}; got {bad:.6g}")
         if self.sigma.ndim == 0:
             raise ValueError("sigma (σ) needs one value per sensor, e.g. [0.1] for one sensor")
 

@@ -12,13 +12,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+_FAR = 8  # times its spread: values this far from 0 lose three bits of their differences
 _BROKEN_ZIP = (zipfile.BadZipFile, zlib.error)
 
 
 @partial(
     jax.tree_util.register_dataclass,
     data_fields=["nodes", "commands", "lengths"],
-    meta_fields=["sensor_names", "command_names", "period"],
+    meta_fields=["sensor_names", "command_names", "period", "offset"],
 )
 @dataclass(frozen=True)
 class Records:
@@ -31,7 +32,8 @@ class Records:
     Build one with :meth:`from_sequences` or :meth:`load`.
 
     Attributes:
-        nodes: `[n_s, N, L + 2]` observations ζ, sensor first, in the sensors' own units.
+        nodes: `[n_s, N, L + 2]` observations ζ less the offset, sensor first, in the sensors'
+            own units.
             Column j + 1 holds sample j. Columns 0 and L_i + 1 mirror the sample next to the
             end, so that the two segments at a record's end are the same one and equation 2
             needs no special case there. Later columns repeat the last sample.
@@ -40,6 +42,9 @@ class Records:
         sensor_names: n_s names.
         command_names: n_u names.
         period: time between rows in seconds, None when unknown.
+        offset: n_s values, subtracted from observations in float64 before they are rounded to
+            the working precision; not 0 only for a sensor whose values lie far from 0 for
+            their spread, such as a position in UTM coordinates.
     """
 
     nodes: jax.Array
@@ -47,7 +52,8 @@ class Records:
     lengths: jax.Array
     sensor_names: tuple[str, ...]
     command_names: tuple[str, ...]
-    period: float | None = None
+    period: float | None
+    offset: tuple[float, ...]
 
     @classmethod
     def from_sequences(
@@ -98,16 +104,19 @@ class Records:
 
         lengths = [len(s) for s in sensors]
         longest = max(lengths)
+        offset = _offset(np.concatenate(sensors))
+        sensors = [s - offset for s in sensors]
         mirrored = [np.concatenate([s[:2][-1:], s, s[-2:][:1]]) for s in sensors]
         nodes = [_extend(m, longest + 2, "edge") for m in mirrored]
         rows = [_extend(c, longest, "constant") for c in commands]
         return cls(
-            nodes=jnp.asarray(np.stack(nodes).transpose(2, 0, 1)),
-            commands=jnp.asarray(np.stack(rows).transpose(2, 0, 1)),
+            nodes=jnp.asarray(_cast(np.stack(nodes).transpose(2, 0, 1))),
+            commands=jnp.asarray(_cast(np.stack(rows).transpose(2, 0, 1))),
             lengths=jnp.asarray(lengths, dtype=jnp.int32),
             sensor_names=_names(sensor_names, sensors[0].shape[1], "z", "sensor"),
             command_names=_names(command_names, commands[0].shape[1], "u", "command"),
             period=None if period is None else float(period),
+            offset=tuple(map(float, offset)),
         )
 
     @property
@@ -132,11 +141,33 @@ class Records:
 
     def sequences(self) -> tuple[list[np.ndarray], list[np.ndarray]]:
         """The records as :meth:`from_sequences` takes them: (L_i, n_s) and (L_i, n_u) arrays."""
-        nodes, commands = np.asarray(self.nodes), np.asarray(self.commands)
+        offset = np.array(self.offset)[:, None, None]
+        nodes, commands = np.asarray(self.nodes, np.float64) + offset, np.asarray(self.commands)
         lengths = np.asarray(self.lengths)
         return (
             [nodes[:, i, 1 : n + 1].T.copy() for i, n in enumerate(lengths)],
             [commands[:, i, :n].T.copy() for i, n in enumerate(lengths)],
+        )
+
+    def centre(self, z: np.ndarray | jax.Array) -> np.ndarray | jax.Array:
+        """Observations `[…, n_s]` less the offset, in the working precision.
+
+        In float64 as long as z is not a JAX array: pass NumPy where the offset matters.
+
+        Raises:
+            ValueError: not n_s values.
+        """
+        if np.shape(z)[-1:] != (self.n_sensors,):
+            raise self.misfit("z", np.shape(z))
+        if isinstance(z, jax.Array):
+            return z - jnp.asarray(self.offset, z.dtype) if any(self.offset) else z
+        return _cast(np.asarray(z, dtype=np.float64) - np.array(self.offset))
+
+    def misfit(self, name: str, shape: tuple[int, ...]) -> ValueError:
+        """The error for what should hold a value for each sensor, and does not."""
+        return ValueError(
+            f"{name} has shape {shape}; the records have {self.n_sensors} sensors "
+            f"({', '.join(self.sensor_names)}), so ({self.n_sensors},) is needed"
         )
 
     def subset(self, which: Sequence[int]) -> "Records":
@@ -182,30 +213,35 @@ class Records:
             ValueError: the file is truncated, or not one of records.
         """
         try:
-            with open(path, "rb") as stream, np.load(stream, allow_pickle=False) as file:
-                held = {name: file[name] for name in file.files}
+            with open(path, "rb") as stream:
+                if not zipfile.is_zipfile(stream):
+                    raise ValueError("it is not a whole .npz file")
+                stream.seek(0)
+                with np.load(stream, allow_pickle=False) as file:
+                    held = {name: file[name] for name in file.files}
             cuts = np.cumsum(held["lengths"])[:-1]
+            if np.min(held["lengths"]) < 1:
+                raise ValueError("one of its lengths is less than 1")
             period = float(held["period"])
             for name in ("sensors", "commands"):
                 if len(held[name]) != np.sum(held["lengths"]):
                     raise ValueError(f"its lengths add up to another number than its {name} rows")
-            return cls.from_sequences(
-                np.split(held["sensors"], cuts),
-                np.split(held["commands"], cuts),
-                [str(name) for name in held["sensor_names"]],
-                [str(name) for name in held["command_names"]],
-                None if np.isnan(period) else period,
-            )
+            sequences = [np.split(held[name], cuts) for name in ("sensors", "commands")]
+            names = [[str(n) for n in held[k]] for k in ("sensor_names", "command_names")]
         except FileNotFoundError:
             raise FileNotFoundError(f"no records file {path}") from None
         except (KeyError, ValueError, TypeError, OSError, EOFError, *_BROKEN_ZIP) as error:
             raise ValueError(
                 f"{path} does not hold records (truncated, or written by something else): {error}"
             ) from error
+        try:
+            return cls.from_sequences(*sequences, *names, None if np.isnan(period) else period)
+        except ValueError as error:
+            raise ValueError(f"{path}: {error}") from None
 
 
 def _as_rows(rows: np.ndarray, name: str, i: int) -> np.ndarray:
-    """One sequence as a finite (L_i, n) array in the working precision."""
+    """One sequence as an (L_i, n) array, finite in the working precision."""
     try:
         given = np.asarray(rows, dtype=np.float64)
     except (TypeError, ValueError) as error:
@@ -215,15 +251,30 @@ def _as_rows(rows: np.ndarray, name: str, i: int) -> np.ndarray:
             f"record {i}: {name} must have shape (time steps, dimensions), both at least 1; "
             f"got {given.shape}"
         )
-    with np.errstate(over="ignore"):
-        cast = given.astype(jax.dtypes.canonicalize_dtype(np.float64))
+    cast = _cast(given)
     if not np.isfinite(cast).all():
         t, k = np.argwhere(~np.isfinite(cast))[0]
         raise ValueError(
             f"record {i}: {name}[{t}, {k}] is {given[t, k]}, not a finite {cast.dtype}; "
             "cut or fill such rows before building records"
         )
-    return cast
+    return given
+
+
+def _cast(values: np.ndarray) -> np.ndarray:
+    """In the working precision; what is too large becomes infinite."""
+    with np.errstate(over="ignore"):
+        return values.astype(jax.dtypes.canonicalize_dtype(np.float64))
+
+
+def _offset(values: np.ndarray) -> np.ndarray:
+    """The middle of each column whose values are all far from 0 for their spread, else 0.
+
+    It is a float32, so that subtracting it from values that float32 holds rounds nothing.
+    """
+    low, high = values.min(axis=0), values.max(axis=0)
+    middle = (low / 2 + high / 2).astype(np.float32).astype(np.float64)
+    return np.where(np.maximum(np.abs(low), np.abs(high)) > _FAR * (high - low), middle, 0.0)
 
 
 def _extend(rows: np.ndarray, length: int, mode: str) -> np.ndarray:

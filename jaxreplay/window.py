@@ -4,8 +4,7 @@ The equations run unchanged on a *view*: the records cut to the W moments that a
 their lengths counted from the window's start. What moves is the start. A belief that is wider
 than its window loses what falls off either edge; the loss is measured, and the largest of a step
 kept in `Belief.dropped`: do a step that lost too much again, from the belief before it brought to
-a wider window by :func:`resize`. Until its window moves a belief loses nothing: after t steps
-τ ≤ 2 t.
+a wider window by :func:`resize`. After t steps τ ≤ 2 t, so the first (W − 1) / 2 lose nothing.
 """
 
 import dataclasses

@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-import jaxreplay.replay as module
+import jaxreplay.tracker as module
 from jaxreplay import Params, build_filter, reference
 from jaxreplay.plane.demonstrator import DEMONSTRATED, TESTED, facing, record
 from jaxreplay.plane.params import SENSOR_RANGES, PlaneParams
@@ -81,25 +81,25 @@ def test_a_step_that_drops_too_much_is_done_again_wider(records, monkeypatch):
     assert result.log_evidence == pytest.approx(whole.log_evidence, rel=1e-5)
 
 
-def test_a_chunk_goes_on_with_a_wider_window_and_comes_back(records):
-    chunk = module._Chunk(records, params(1), "own_tau")
+def test_a_tracker_goes_on_with_a_wider_window_and_comes_back(records):
+    tracker = module.Tracker(records, params(1), "own_tau")
     seen = build_filter("own_tau", None)
     belief = seen.init(records)
     one = Params(theta_i=0.1, theta_tau=0.05, sigma=0.1 * np.array(SENSOR_RANGES))
     sensors, _ = records.sequences()
     on = np.array([True])
     for t in range(40):
-        chunk.advance(sensors[0][t : t + 1], on)
+        tracker.advance(sensors[0][t : t + 1], on)
         if t == 20:
-            chunk._resize(128)
+            tracker.resize(128)
+            assert tracker.window == 128
         belief, _ = seen.update(records, one, seen.predict(records, one, belief), sensors[0][t])
     np.testing.assert_allclose(
-        chunk.command[0],
+        tracker.command[0],
         seen.command(records, seen.predict(records, one, belief)),
         atol=2e-5,
     )
-    chunk.narrow(on)
-    assert chunk.window == module.WINDOWS[0]
+    assert tracker.window == module.WINDOWS[0]
 
 
 def test_replays_fetch_the_cube_where_it_was_demonstrated(records):

@@ -1,0 +1,151 @@
+"""One robot, live: NumPy in and out, compiled before the first command."""
+
+import warnings
+from typing import NamedTuple
+
+import jax
+import numpy as np
+
+from jaxreplay.params import Params
+from jaxreplay.records import Records
+from jaxreplay.tracker import WINDOWS, Tracker
+
+FAR = 1e3  # σ from the middle of a sensor's values; float32 then tells 1e-4 σ apart
+
+
+class Followed(NamedTuple):
+    """The likeliest state.
+
+    Attributes:
+        record: index of the record, from 0.
+        moment: index of the row in it, from 0.
+        probability: of that state.
+    """
+
+    record: int
+    moment: int
+    probability: float
+
+
+class Replayer:
+    """Replays demonstrations on a robot: `command()`, act, `observe(z)`, and again.
+
+    Everything it needs is compiled when it is made. It holds beliefs in windows that widen when
+    they must (see :class:`jaxreplay.tracker.Tracker`).
+
+        replayer = Replayer(records, params)
+        while replayer.end_probability <= 0.9:
+            robot.send(replayer.command())
+            replayer.observe(robot.sense())
+
+    Attributes:
+        end_probability: p(τ in the last 10 samples), after the last observation; § 2.2.5.
+        log_evidence: log p(Z_1:t) since the start.
+    """
+
+    def __init__(self, records: Records, params: Params, jump: str = "same_tau"):
+        """Compile, and start.
+
+        Args:
+            records: N records.
+            params: one set of parameters.
+            jump: `"same_tau"` or `"own_tau"`.
+
+        Raises:
+            ValueError: another reading, or parameters that do not fit the records.
+        """
+        check_fit(records, params)
+        self._records = records
+        self._tracker = Tracker(records, jax.tree.map(lambda x: x[None], params), jump)
+        nothing = np.full((1, records.n_sensors), np.nan)
+        for window in (*WINDOWS, *reversed(WINDOWS[:-1])):
+            self._tracker.resize(window)
+            self._tracker.advance(nothing, _GOING)
+        self.reset()
+
+    def reset(self):
+        """Start again at the records' first samples."""
+        self._tracker.restart()
+        self._observed = True
+        self.end_probability = self.log_evidence = 0.0
+
+    def command(self) -> np.ndarray:
+        """The command `[n_u]` for the next control step.
+
+        Called again without an observation between, it goes on by time alone.
+        """
+        if not self._observed:
+            self.observe(np.full(self._records.n_sensors, np.nan))
+        self._observed = False
+        return self._tracker.command[0].copy()
+
+    def observe(self, z: np.ndarray) -> float:
+        """Take in the observation made after the command.
+
+        Args:
+            z: `[n_s]` Z_t; NaN for a sensor that gave nothing.
+
+        Returns:
+            log p(Z_t | Z_{1:t−1}).
+
+        Raises:
+            ValueError: another shape, an infinite value, or no command since the last
+                observation. The belief stays as it was.
+        """
+        names = self._records.sensor_names
+        try:
+            z = np.asarray(z, dtype=np.float64)
+        except (TypeError, ValueError):
+            raise ValueError(f"the observation is not an array of numbers: {z!r}") from None
+        if z.shape != (len(names),):
+            raise ValueError(
+                f"the observation has shape {z.shape}; ({len(names)},) is needed, "
+                f"a value for each of {', '.join(names)}"
+            )
+        if np.isinf(self._records.centre(z)).any():
+            k = int(np.flatnonzero(np.isinf(self._records.centre(z)))[0])
+            raise ValueError(
+                f"the observation's {names[k]} is {z[k]}; give NaN for a sensor that gave nothing"
+            )
+        if self._observed:
+            raise ValueError("an observation follows a command: call command() first")
+        gained, ended = self._tracker.advance(z[None], _GOING)
+        self._observed = True
+        self.log_evidence += float(gained[0])
+        self.end_probability = float(ended[0])
+        return float(gained[0])
+
+    @property
+    def following(self) -> Followed:
+        """The likeliest record and moment for the next command (or the one just given)."""
+        belief = jax.tree.map(lambda x: np.asarray(x[0]), self._tracker.belief)
+        p = belief.p.value()
+        record, column = np.unravel_index(np.argmax(p), p.shape)
+        start = np.broadcast_to(belief.start, len(p))[record]
+        return Followed(int(record), int(start + column), float(p[record, column]))
+
+
+_GOING = np.array([True])
+
+
+def check_fit(records: Records, params: Params):
+    """Whether parameters fit records; a warning where float32 gets coarse for them.
+
+    Raises:
+        ValueError: not one set of parameters, or not one σ per sensor.
+    """
+    sigma = np.asarray(params.sigma)
+    if np.ndim(params.theta_i) or np.ndim(params.theta_tau) or sigma.shape != (records.n_sensors,):
+        raise ValueError(
+            f"one θ_I, one θ_τ and {records.n_sensors} values of σ are needed "
+            f"({', '.join(records.sensor_names)}); got shapes {np.shape(params.theta_i)}, "
+            f"{np.shape(params.theta_tau)} and {sigma.shape}"
+        )
+    reach = np.abs(np.asarray(records.nodes)).max(axis=(1, 2)) / sigma
+    for name, far in zip(records.sensor_names, reach, strict=True):
+        if records.nodes.dtype == np.float32 and far > FAR:
+            warnings.warn(
+                f"{name} reaches {far:.0f} σ from the middle of its values, where float32 is "
+                "coarse; use JAX's x64, or a larger σ",
+                stacklevel=3,
+            )

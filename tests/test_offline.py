@@ -1,0 +1,58 @@
+import jax
+import numpy as np
+import pytest
+from conftest import random_sequences
+
+from jaxreplay import Params, Records, log_evidence, reference
+
+SIGMA = np.array([0.5, 2.0])
+
+
+@pytest.fixture(scope="module")
+def recorded():
+    sensors, commands = random_sequences(12, (200, 31, 2, 1))
+    seen = sensors[0][:50] + 0.25 * np.round(np.random.default_rng(0).normal(size=(50, 2)))
+    return sensors, Records.from_sequences(sensors, commands), seen
+
+
+def expected(sensors, theta_i, theta_tau, sigma, seen, jump):
+    belief, total = reference.initial(sensors), 0.0
+    for z in seen:
+        belief = reference.predict(sensors, theta_i, theta_tau, belief, jump)
+        belief, gained = reference.update(sensors, sigma, belief, z)
+        total += gained
+    return total
+
+
+@pytest.mark.parametrize("jump", ["same_tau", "own_tau"])
+def test_it_is_the_references_over_grids_and_lengths(recorded, jump):
+    sensors, records, seen = recorded
+    theta_i, theta_tau = np.array([0.5, 0.125, 1e-6]), np.array([0.0625, 0.25, 0.03125])
+    sigma = SIGMA * np.array([[1], [2], [0.5]])
+    lengths = [50, 20, 1]
+    padded = np.stack([np.where(np.arange(50)[:, None] < n, seen, np.nan) for n in lengths])
+    ours = jax.vmap(lambda p, z: log_evidence(records, p, z, jump))(
+        Params(theta_i, theta_tau, sigma), padded
+    )
+    for got, i, tau, s, n in zip(ours, theta_i, theta_tau, sigma, lengths, strict=True):
+        i, tau = float(np.float32(i)), float(tau)
+        assert got == pytest.approx(expected(sensors, i, tau, s, seen[:n], jump), rel=1e-5)
+
+
+@pytest.mark.slow
+def test_a_better_sigma_has_more_evidence_and_the_gradient_says_where(recorded):
+    _, records, seen = recorded
+
+    def evidence(sigma):
+        return log_evidence(records, Params(0.125, 0.0625, sigma), seen)
+
+    gradient = jax.grad(evidence)(SIGMA.astype(np.float32))
+    assert np.isfinite(gradient).all()
+    better = SIGMA + 1e-2 * np.asarray(gradient) / np.abs(gradient).max()
+    assert evidence(better) > evidence(SIGMA)
+
+
+def test_wrong_shapes_are_told(recorded):
+    _, records, seen = recorded
+    with pytest.raises(ValueError, match=r"shape \(50, 1\); \(T, 2\) is needed"):
+        log_evidence(records, Params(0.1, 0.05, SIGMA), seen[:, :1])
