@@ -80,7 +80,7 @@ def _parse(given: dict, folder: Path) -> StudyConfig:
     if "jump" in axis:
         values["jump"] = tuple(_list(axis["jump"], "axis.jump"))
         for i, jump in enumerate(values["jump"]):
-            if jump not in PREDICTIONS:
+            if jump not in tuple(PREDICTIONS):
                 raise ConfigError(
                     f"axis.jump[{i}] must be one of {list(PREDICTIONS)}; got {jump!r}"
                 )
@@ -90,12 +90,10 @@ def _parse(given: dict, folder: Path) -> StudyConfig:
     if "theta_tau" in given:
         values["theta_tau"] = _number(given["theta_tau"], "theta_tau", 0, 0.5)
     if "sigma" in given:
-        values["sigma"] = _number(given["sigma"], "sigma", 0, np.inf)
-        if values["sigma"] == 0:
-            raise ConfigError("sigma must be > 0; got 0")
-    for key, lowest in (("repeats", 1), ("seed", 0)):
+        values["sigma"] = _number(given["sigma"], "sigma", 1e-6, 1e6)
+    for key, low, high in (("repeats", 1, 10_000), ("seed", 0, 2**63 - 1)):
         if key in given:
-            values[key] = _integer(given[key], key, lowest)
+            values[key] = _integer(given[key], key, low, high)
     if "demonstrations" in given:
         if not isinstance(given["demonstrations"], str):
             raise ConfigError(
@@ -112,6 +110,8 @@ def _known(given: dict, allowed: list[str] | tuple[str, ...], prefix: str):
         if key not in allowed:
             near = difflib.get_close_matches(key, allowed, n=1)
             hint = f"; did you mean {prefix}{near[0]}?" if near else ""
+            if key in AXES and not prefix:
+                hint = "; it belongs under [axis]"
             raise ConfigError(
                 f"unknown key {prefix}{key}{hint} (known: {', '.join(prefix + a for a in allowed)})"
             )
@@ -128,26 +128,30 @@ def _values(given, key: str) -> list:
             f"{key}.logspace must be [first exponent, last exponent, how many]; got {span!r}"
         )
     first, last = (_number(v, f"{key}.logspace[{i}]", -300, 300) for i, v in enumerate(span[:2]))
-    count = _integer(span[2], f"{key}.logspace[2]", 1)
+    count = _integer(span[2], f"{key}.logspace[2]", 1, 10_000)
     return [float(10.0**exponent) for exponent in np.linspace(first, last, count)]
 
 
 def _list(given, key: str) -> list:
     if not isinstance(given, list) or not given:
-        raise ConfigError(f"{key} must be a list of at least one value; got {given!r}")
+        hint = "" if isinstance(given, list | dict) else f"; write [{given!r}]"
+        raise ConfigError(f"{key} must be a list of at least one value; got {given!r}{hint}")
     return given
 
 
 def _number(given, key: str, low: float, high: float) -> float:
     if isinstance(given, bool) or not isinstance(given, int | float):
         raise ConfigError(f"{key} must be a number; got {given!r}")
-    if not low <= given <= high or given == np.inf:
-        allowed = f"in [{low:g}, {high:g}]" if high < np.inf else f"at least {low:g} and finite"
-        raise ConfigError(f"{key} must be {allowed}; got {given!r}")
+    if not low <= given <= high:
+        raise ConfigError(f"{key} must be in [{low:g}, {high:g}]; got {_short(given)}")
     return float(given)
 
 
-def _integer(given, key: str, lowest: int) -> int:
-    if isinstance(given, bool) or not isinstance(given, int) or given < lowest:
-        raise ConfigError(f"{key} must be a whole number of at least {lowest}; got {given!r}")
+def _integer(given, key: str, low: int, high: int) -> int:
+    if isinstance(given, bool) or not isinstance(given, int) or not low <= given <= high:
+        raise ConfigError(f"{key} must be a whole number from {low} to {high}; got {_short(given)}")
     return given
+
+
+def _short(given) -> str:
+    return repr(given) if len(repr(given)) <= 40 else repr(given)[:40] + "…"

@@ -1,5 +1,6 @@
 """A study: a config turned into runs, and the runs into one labelled dataset on disk."""
 
+import hashlib
 import json
 import os
 from collections.abc import Callable
@@ -29,10 +30,17 @@ def demonstrations(config: StudyConfig, folder: Path) -> Records:
     Raises:
         ConfigError: the file does not hold records of the plane's sensors and commands.
     """
-    path = config.demonstrations or folder / f"demonstrations_seed{config.seed}.npz"
+    plane = PlaneParams()
+    # Named for all that made them, so that none made otherwise is taken for them.
+    made_by = json.dumps([version("jaxreplay"), config.seed, DEMONSTRATED.tolist(), asdict(plane)])
+    own = folder / f"demonstrations_{hashlib.sha256(made_by.encode()).hexdigest()[:12]}.npz"
+    path = config.demonstrations or own
     if not path.exists():
         folder.mkdir(parents=True, exist_ok=True)
-        records, _ = record(PlaneParams(), DEMONSTRATED, config.seed)
+        try:
+            records, _ = record(plane, DEMONSTRATED, config.seed)
+        except RuntimeError as error:
+            raise ConfigError(f"{error}; choose another seed than {config.seed}") from None
         records.save(path)
     try:
         records = Records.load(path)
@@ -44,8 +52,14 @@ def demonstrations(config: StudyConfig, folder: Path) -> Records:
     ):
         if held != wanted:
             raise ConfigError(
-                f"{path}: its {what} are {', '.join(held)}; the plane has {', '.join(wanted)}"
+                f"{path}: its {what} are {', '.join(held)}; the plane has {', '.join(wanted)}, "
+                "and can replay no others"
             )
+    if records.period not in (None, plane.control_period):
+        raise ConfigError(
+            f"{path}: its rows are {records.period} s apart; the plane's control period is "
+            f"{plane.control_period} s: resample them"
+        )
     return records
 
 
@@ -132,7 +146,7 @@ def run_study(
 
 
 def open_study(folder: str | Path) -> xr.Dataset:
-    """The dataset of a study, wholly read.
+    """The dataset of a study, wholly read; `folder` may also be the file itself.
 
     Returns:
         Variables `outcome` (S, Fs, Fg or Fb), `alignment_error` (mm, NaN unless S), `duration`
@@ -142,7 +156,8 @@ def open_study(folder: str | Path) -> xr.Dataset:
         FileNotFoundError: there is no study in the folder.
         ValueError: its file is truncated, or not one of a study.
     """
-    path = Path(folder) / DATASET
+    path = Path(folder)
+    path = path if path.is_file() else path / DATASET
     if not path.is_file():
         raise FileNotFoundError(
             f"no study in {folder}: {path.name} is missing; jaxreplay run makes it"

@@ -6,6 +6,7 @@ import jaxreplay as jr
 from jaxreplay import cli
 from jaxreplay.config import ConfigError, load_config
 from jaxreplay.plane.demonstrator import TESTED
+from jaxreplay.plane.params import COMMAND_NAMES, SENSOR_NAMES
 from jaxreplay.records import Records
 from jaxreplay.study import table
 
@@ -37,11 +38,12 @@ def study(tmp_path_factory):
 def test_a_study_leaves_dataset_figure_and_demonstrations(study):
     _, folder = study
     names = {path.name for path in folder.iterdir()}
+    (demonstrations,) = folder.glob("demonstrations_*.npz")
     assert names == {
-        "study.nc", "figure_3.png", "figure_3.pdf", "demonstrations_seed4.npz", "notes.txt",
+        "study.nc", "figure_3.png", "figure_3.pdf", demonstrations.name, "notes.txt",
     }  # fmt: skip
     assert (folder / "notes.txt").read_text() == "mine"
-    assert Records.load(folder / "demonstrations_seed4.npz").n_records == 20
+    assert Records.load(demonstrations).n_records == 20
 
 
 def test_the_dataset_is_labelled(study):
@@ -107,9 +109,14 @@ def test_the_shipped_experiment_is_the_papers(request):
         ("[axis]\ntheta_i = [0.1]\njump = ['both']", r"axis\.jump\[0\] must be one of"),
         ("axis = 3", "axis must be a table"),
         ("theta_tau = 0.6\n[axis]\ntheta_i = [0.1]", r"theta_tau must be in \[0, 0\.5\]; got 0\.6"),
-        ("sigma = 0\n[axis]\ntheta_i = [0.1]", "sigma must be > 0"),
-        ("sigma = inf\n[axis]\ntheta_i = [0.1]", "sigma must be at least 0 and finite"),
-        ("repeats = 0\n[axis]\ntheta_i = [0.1]", "repeats must be a whole number of at least 1"),
+        ("sigma = 0\n[axis]\ntheta_i = [0.1]", r"sigma must be in \[1e-06, 1e\+06\]; got 0"),
+        ("sigma = inf\n[axis]\ntheta_i = [0.1]", "sigma must be in"),
+        ("repeats = 0\n[axis]\ntheta_i = [0.1]", "repeats must be a whole number from 1 to"),
+        ("repeats = 10000000000\n[axis]\ntheta_i = [0.1]", "repeats must be a whole number"),
+        ("theta_i = [0.1]", r"unknown key theta_i; it belongs under \[axis\]"),
+        ("[axis]\ntheta_i = [0.1]\njump = [['own_tau']]", r"axis\.jump\[0\] must be one of"),
+        ("[axis]\ntheta_i = [0.1]\njump = 'own_tau'", r"got 'own_tau'; write \['own_tau'\]"),
+        (f"theta_tau = {'9' * 400}\n[axis]\ntheta_i = [0.1]", r"theta_tau must be in"),
         ("seed = true\n[axis]\ntheta_i = [0.1]", "seed must be a whole number"),
         ("demonstrations = 3\n[axis]\ntheta_i = [0.1]", "demonstrations must be a file's path"),
         ("demonstrations = 'no.npz'\n[axis]\ntheta_i = [0.1]", "there is no file"),
@@ -123,7 +130,7 @@ def test_a_mistake_is_one_line_and_status_2_before_any_work(tmp_path, capsys, te
     out = tmp_path / "out"
     assert cli.main(["run", str(config), "--out", str(out)]) == 2
     said = capsys.readouterr().err
-    assert said.count("\n") == 1
+    assert said.count("\n") == 1  # before the run is announced
     assert str(config) in said
     assert not out.exists()
 
@@ -142,10 +149,15 @@ def test_mistakes_outside_the_file_too(tmp_path, capsys):
     assert cli.main(["run", str(config), "--out", str(tmp_path / "out")]) == 2
     assert "does not hold records (truncated" in capsys.readouterr().err
 
+    slow = [np.zeros((3, 7))], [np.zeros((3, 5))], SENSOR_NAMES, COMMAND_NAMES, 0.5
+    Records.from_sequences(*slow).save(tmp_path / "other.npz")
+    assert cli.main(["run", str(config), "--out", str(tmp_path / "out")]) == 2
+    assert "0.5 s apart; the plane's control period is 0.1 s" in capsys.readouterr().err
+
     (tmp_path / "file").write_text("")
     config = write(tmp_path, SMALL)
     assert cli.main(["run", str(config), "--out", str(tmp_path / "file")]) == 2
-    assert capsys.readouterr().err.count("\n") == 1
+    assert "is a file; give a folder" in capsys.readouterr().err
 
 
 def test_the_command_line_describes_itself(capsys):
