@@ -12,7 +12,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-# Exponents stop here: hypotheses some 10^8 bits behind are no longer told apart, nor forgotten.
+# Exponents stop here and at its negative: hypotheses some 10^8 bits behind are no longer told
+# apart, nor forgotten.
 LOWEST = -(2**27)
 ZERO = (0.0, 2 * LOWEST)  # mantissa and exponent of nothing
 
@@ -87,7 +88,7 @@ def scaled(mantissa: jax.Array, exponent: jax.Array | int = 0) -> Scaled:
     pattern = jax.lax.bitcast_convert_type(jax.lax.stop_gradient(mantissa), integer)
     shift = (pattern >> bits).astype(jnp.int32) - bias
     zero = pattern >> bits == 0  # what XLA flushes to zero is zero
-    total = jnp.maximum(shift + exponent, LOWEST)
+    total = jnp.clip(shift + exponent, LOWEST, -LOWEST)
     unit = mantissa * _power_of_two(-shift, mantissa.dtype)
     return Scaled(jnp.where(zero, 0.0, unit), jnp.where(zero, ZERO[1], total))
 

@@ -11,7 +11,7 @@ def stage(function: Callable) -> Callable:
     """The function as a stage of its own in the compiled program, its results stored once.
 
     Left to itself XLA on CPU fuses a filter step into few loops and computes a value again at
-    every use: ten times the work here. Within the stage it may fuse as it likes.
+    every use, several times the work. Within the stage it may fuse as it likes.
     """
 
     @jax.jit

@@ -225,7 +225,7 @@ def test_steps_are_the_same_without_jit(jump):
     records, f = Records.from_sequences(*sequences), build_filter(jump)
     params = Params(0.1, 0.05, SIGMA)
     jitted = belief = f.init(records)
-    for z in zs[:2]:
+    for z in zs[:1]:
         jitted, want = one_step(f, records, params, jitted, z)
         with jax.disable_jit():
             belief, got = one_step(f, records, params, belief, z)
