@@ -3,9 +3,10 @@
     python experiments/benchmarks/filter_step.py [--replays 14] [--rounds 9] [--json FILE]
 
 One process, all in turn within a round, medians over rounds: machines are noisy, trust the ratios.
-The reference is float64 and written to be read: a yardstick, not the fastest NumPy there could be. The work is the same for all: N = 20 records of L = 1000 samples of 7 sensors, observed
-along one of them; a step is update, termination, prediction and command. The JAX rivals run a
-batch one replay after the other on one thread, as the studies do (which run one thread a core).
+The reference is float64 and written to be read: a yardstick, not the fastest NumPy there could be.
+The work is the same for all: N = 20 records of L = 1000 samples of 7 sensors, observed along one
+of them; a step is update, termination, prediction and command. The JAX batches run one replay
+after the other on one thread, as the studies do (which run one thread a core).
 """
 
 import argparse
