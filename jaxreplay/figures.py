@@ -86,6 +86,8 @@ def _error_and_duration(axes: plt.Axes, runs: xr.Dataset, tops: list[float]):
                     k + shift, values.mean(), error, fmt=marker, color=colour,
                     markersize=5, capsize=3, markerfacecolor=face,
                 )  # fmt: skip
+            elif ax is axes:
+                ax.text(k, 0.02 * top, "none", ha="center", fontsize=7, color="grey")
         ax.set_ylabel(label, color=colour)
         ax.set_ylim(0, top)
     axes.set_title("successful runs: mean ± standard error", loc="right", fontsize=8)

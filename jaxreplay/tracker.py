@@ -78,7 +78,7 @@ class Tracker:
     def restart(self):
         """Begin again at the records' first samples."""
         self.window = WINDOWS[0]
-        self.widened = self._steps = 0
+        self.widened = self._taken = 0
         self.belief, command = _steps(self.jump, self.window).begin(self.records, self.params)
         self.command = np.asarray(command)
 
@@ -102,8 +102,8 @@ class Tracker:
             self.resize(WINDOWS[WINDOWS.index(self.window) + 1])
             self.widened += 1
         self.belief, self.command = belief, np.asarray(command)
-        self._steps += 1
-        if self._steps % NARROW_EVERY == 0 and self.window != WINDOWS[0]:
+        self._taken += 1
+        if self._taken % NARROW_EVERY == 0 and self.window != WINDOWS[0]:
             held = self.belief, self.window
             self.resize(WINDOWS[WINDOWS.index(self.window) - 1])
             if _dropped(self.belief, going) > DROP_TOLERANCE / 10:
