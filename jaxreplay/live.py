@@ -10,6 +10,7 @@ from jaxreplay.params import Params
 from jaxreplay.records import Records
 from jaxreplay.tracker import WINDOWS, Tracker
 
+_GOING = np.array([True])
 FAR = 1e3  # σ from the middle of a sensor's values; float32 then tells 1e-4 σ apart
 
 
@@ -102,8 +103,9 @@ class Replayer:
                 f"the observation has shape {z.shape}; ({len(names)},) is needed, "
                 f"a value for each of {', '.join(names)}"
             )
-        if np.isinf(self._records.centre(z)).any():
-            k = int(np.flatnonzero(np.isinf(self._records.centre(z)))[0])
+        infinite = np.flatnonzero(np.isinf(self._records.centre(z)))  # in float32, say
+        if len(infinite):
+            k = infinite[0]
             raise ValueError(
                 f"the observation's {names[k]} is {z[k]}; give NaN for a sensor that gave nothing"
             )
@@ -123,9 +125,6 @@ class Replayer:
         record, column = np.unravel_index(np.argmax(p), p.shape)
         start = np.broadcast_to(belief.start, len(p))[record]
         return Followed(int(record), int(start + column), float(p[record, column]))
-
-
-_GOING = np.array([True])
 
 
 def check_fit(records: Records, params: Params):

@@ -25,16 +25,16 @@ _HALF_LOG2_E = float(1 / (2 * np.log(2)))
 # 36 (1981): one division and no exponential, relative error 5e-8 (degree 10), 6e-15 (20).
 _MILLS_CENTRE = 4.0
 _MILLS_DEGREE = {np.dtype(np.float32): 10, np.dtype(np.float64): 20}
-# Below this length × distance, in σ, a segment's two tails cancel: a Taylor series takes over.
+# Below this length × distance, in σ, a segment's two tails cancel: a sum over its ends takes over.
 _SHORT = {np.dtype(np.float32): 0.3, np.dtype(np.float64): 0.01}
 
 
 def _mills_coefficients(degree: int) -> np.ndarray:
-    def scaled(y):
+    def smooth(y):
         x = _MILLS_CENTRE * (1 + y) / (1 - y)
         return (1 + x) * np.sqrt(np.pi / 2) * erfcx(x / np.sqrt(2))
 
-    return chebyshev.cheb2poly(chebyshev.chebinterpolate(scaled, degree))[::-1]
+    return chebyshev.cheb2poly(chebyshev.chebinterpolate(smooth, degree))[::-1]
 
 
 _MILLS = {dtype: _mills_coefficients(degree) for dtype, degree in _MILLS_DEGREE.items()}

@@ -53,7 +53,7 @@ class _World:
         space.add(self.robot, hull, self.gripper, self.cube, box, self.tracks)
         space.add(*drive, *self.floor, *self.magnet)
 
-    def hold(self, params: PlaneParams, gap: float):
+    def hold(self, params: PlaneParams):
         """Fix the cube to the magnet as it stands."""
         pivot, gear = self.magnet
         pivot.anchor_a = (params.reach, 0.0)
@@ -214,7 +214,7 @@ class Plane:
         ready &= (gap < p.magnet_gap) & (gap > -p.side / 2)
         ready &= (np.abs(lateral) < p.magnet_offset) & (np.abs(angle) < p.magnet_angle)
         for b in np.flatnonzero(ready):
-            self._worlds[b].hold(p, gap[b])
+            self._worlds[b].hold(p)
             state.held[b] = True
             self.alignment_error[b] = abs(lateral[b])
 
