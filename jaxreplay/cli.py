@@ -7,14 +7,24 @@ from io import TextIOWrapper
 from pathlib import Path
 
 import numpy as np
+import xarray as xr
 from tqdm import tqdm
 
 from jaxreplay.config import ConfigError, load_config
 from jaxreplay.figures import figure_3
-from jaxreplay.plane.demonstrator import TESTED
-from jaxreplay.plane.params import PlaneParams
-from jaxreplay.replay import OUTCOMES
-from jaxreplay.study import DATASET, run_study, table
+from jaxreplay.replay import Replays
+from jaxreplay.study import (
+    DATASET,
+    OUTCOMES,
+    STALLS,
+    config_of,
+    demonstrations,
+    open_study,
+    outcomes,
+    run_study,
+    runs_of,
+)
+from jaxreplay.table import table
 
 DONE, MISTAKE, INTERRUPTED = 0, 2, 130
 
@@ -39,6 +49,29 @@ def main(arguments: Sequence[str] | None = None) -> int:
         help="for demonstrations, dataset and figure (default: results/ and FILE's name)",
     )
     run.set_defaults(action=_run)
+    watch = commands.add_parser(
+        "watch",
+        help="write an animation of one run",
+        description="Do one run of a study again and write an animation of it.",
+    )
+    watch.add_argument(
+        "study", type=Path, metavar="CONFIG_OR_RESULT", help="a TOML file, or the folder of a study"
+    )
+    watch.add_argument(
+        "--run",
+        default="0",
+        metavar="RUN",
+        help="its number, counted along the dataset's axes from 0; or, of a folder, the first "
+        f"with an outcome ({', '.join(OUTCOMES)}) or a stall ({', '.join(STALLS)})",
+    )
+    watch.add_argument("--speed", type=_speed, default=4.0, help="times real time (default: 4)")
+    watch.add_argument(
+        "--out",
+        type=Path,
+        metavar="FILE",
+        help="a .gif, or a .png for a still of the end (default: run_RUN.gif beside the data)",
+    )
+    watch.set_defaults(action=_watch)
     options = parser.parse_args(arguments)
     # A table in an encoding without θ is better than none.
     for stream in (sys.stdout, sys.stderr):
@@ -63,8 +96,7 @@ def _run(options: argparse.Namespace) -> int:
     folder = options.out or Path("results") / options.file.stem
     if folder.exists() and not folder.is_dir():
         raise ConfigError(f"--out {folder} is a file; give a folder")
-    runs = len(config.theta_i) * len(TESTED) * config.repeats
-    print(f"{folder}: {runs} runs for each of {', '.join(config.jump)}", file=sys.stderr)
+    print(f"{folder}: {len(runs_of(config))} runs", file=sys.stderr)
     dataset = run_study(config, folder, _Progress())
     for suffix in ("png", "pdf"):
         figure_3(dataset, folder / f"figure_3.{suffix}")
@@ -73,27 +105,80 @@ def _run(options: argparse.Namespace) -> int:
     return DONE
 
 
+def _speed(text: str) -> float:
+    speed = float(text)
+    if not 0.1 <= speed <= 1000:
+        raise argparse.ArgumentTypeError(f"must be in [0.1, 1000]; got {text}")
+    return speed
+
+
+def _watch(options: argparse.Namespace) -> int:
+    from jaxreplay.watch import animate_run
+
+    if options.study.is_dir():
+        try:
+            folder, dataset = options.study, open_study(options.study)
+        except ValueError as error:
+            raise ConfigError(str(error)) from None
+        config = config_of(dataset)
+    else:
+        folder, dataset = Path("results") / options.study.stem, None
+        config = load_config(options.study)
+    k = _chosen(options.run, len(runs_of(config)), dataset)
+    path = options.out or folder / f"run_{options.run}.gif"
+    if path.suffix not in (".gif", ".png"):
+        raise ConfigError(f"--out {path}: let its name end in .gif, or in .png for a still")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with tqdm(desc=f"{path}", unit="frame", disable=None) as bar:
+
+        def progress(done: int, total: int):
+            bar.total = total
+            bar.update(done - bar.n)
+
+        print(animate_run(config, demonstrations(config, folder), k, path, options.speed, progress))
+    print(path)
+    return DONE
+
+
+def _chosen(run: str, total: int, dataset: xr.Dataset | None) -> int:
+    """The number of the run that was asked for."""
+    if run.isdecimal():
+        if int(run) >= total:
+            raise ConfigError(f"--run {run}: the study has {total} runs; give 0 to {total - 1}")
+        return int(run)
+    if run not in (*OUTCOMES, *STALLS):
+        known = ", ".join((*OUTCOMES, *STALLS))
+        raise ConfigError(f"--run {run}: give a run's number, or one of {known}")
+    if dataset is None:
+        raise ConfigError(f"--run {run}: how runs ended is known once they are run; give a folder")
+    found = np.flatnonzero((dataset.outcome.values == run) | (dataset.stall.values == run))
+    if len(found) == 0:
+        raise ConfigError(f"--run {run}: no run of this study ended so")
+    return int(found[0])
+
+
 class _Progress:
     """A line for each reading of a jump: kept up to date on a terminal, else told at its end."""
 
     def __init__(self):
-        self._steps = PlaneParams().max_steps
         self._bars: dict[str, tqdm] = {}
 
-    def __call__(self, jump: str, step: int, outcome: np.ndarray):
+    def __call__(self, jump: str, so_far: Replays):
+        total = len(so_far.ending)
         if jump not in self._bars:
             self._bars[jump] = tqdm(
-                total=self._steps,
-                bar_format="{desc}: at most {total} steps, {n} done [{elapsed}]{postfix}",
+                total=total,
+                bar_format="{desc}: {n} of {total} runs [{elapsed}<{remaining}]{postfix}",
                 desc=jump,
                 disable=None,
             )
         bar = self._bars[jump]
-        going = np.sum(outcome == "")
+        outcome = outcomes(so_far)
         counts = ", ".join(f"{name} {np.sum(outcome == name)}" for name in OUTCOMES)
-        bar.set_postfix_str(f"{counts}, going {going}", refresh=False)
-        bar.update()
-        if going == 0:
+        bar.n = int(np.sum(outcome != ""))
+        bar.set_postfix_str(counts, refresh=False)
+        bar.update(0)
+        if bar.n == total:
             bar.close()
             if bar.disable:
-                print(f"{jump}: {step} steps, {counts}", file=sys.stderr)
+                print(f"{jump}: {total} runs, {counts}", file=sys.stderr)

@@ -2,8 +2,9 @@
 
 import difflib
 import tomllib
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -14,30 +15,58 @@ class ConfigError(ValueError):
     """A user's mistake in a study's description; the message names file, key and remedy."""
 
 
+class Factor(NamedTuple):
+    """Something a study can vary: what it may be, and what it is when nothing is said.
+
+    Attributes:
+        default: None where it must be given.
+        allowed: least and greatest of a number, or all values.
+        symbol: how tables and figures call it.
+        units: of a number.
+        long_name: in words.
+    """
+
+    default: Any
+    allowed: tuple
+    symbol: str
+    units: str
+    long_name: str
+
+    @property
+    def numeric(self) -> bool:
+        """Whether it is a number between two others."""
+        return self.units != ""
+
+
+FACTORS = {
+    "theta_i": Factor(None, (0, 1), "θ_I", "1", "probability to jump to another record"),
+    "theta_tau": Factor(0.05, (0, 0.5), "θ_τ", "1", "probability to stay, and to skip"),
+    "sigma": Factor(0.1, (1e-6, 1e6), "σ", "1", "σ of every sensor, as a share of its range"),
+    "jump": Factor("same_tau", tuple(PREDICTIONS), "jump", "", "reading of a jump"),
+    "dithering": Factor(False, (False, True), "dithering", "", "temporal dithering of the tracks"),
+    "motor_unit": Factor(0.005, (1e-6, 0.3), "motor unit", "m/s", "what track speeds round to"),
+    "battery": Factor(1.0, (0.05, 1.5), "battery", "1", "voltage, as a share of a full battery's"),
+    "sensor_noise": Factor(1.0, (0, 100), "sensor noise", "1", "factor on the sensors' noise"),
+}
+
+
 @dataclass(frozen=True)
 class StudyConfig:
     """A study: every combination of its axes × test positions × repeats.
 
     Attributes:
-        theta_i: θ_I, the values to compare.
-        jump: readings of a jump to compare.
-        theta_tau: θ_τ.
-        sigma: σ of every sensor, as a share of its range.
+        axes: for each factor that varies, its values, in the file's order.
+        fixed: the value of every other factor.
         repeats: runs at each test position.
         seed: of the demonstrations and the runs, a non-negative integer.
         demonstrations: file of records to replay; recorded by the demonstrator when None.
     """
 
-    theta_i: tuple[float, ...]
-    jump: tuple[str, ...] = ("same_tau",)
-    theta_tau: float = 0.05
-    sigma: float = 0.1
+    axes: dict[str, tuple]
+    fixed: dict[str, Any]
     repeats: int = 3
     seed: int = 0
     demonstrations: Path | None = None
-
-
-AXES = ("theta_i", "jump")
 
 
 def load_config(path: str | Path) -> StudyConfig:
@@ -65,77 +94,90 @@ def _parse(given: dict, folder: Path) -> StudyConfig:
     axis = given.pop("axis", {})
     if not isinstance(axis, dict):
         raise ConfigError(f"axis must be a table, [axis]; got {axis!r}")
-    scalars = [f.name for f in fields(StudyConfig) if f.name not in AXES]
-    _known(given, [*scalars, "axis"], "")
-    _known(axis, AXES, "axis.")
-    if "theta_i" not in axis:
-        raise ConfigError("axis.theta_i is missing; give a list of values, or logspace")
+    _known(given, (*FACTORS, "repeats", "seed", "demonstrations", "axis"), "")
+    _known(axis, tuple(FACTORS), "axis.")
+    axes = {name: _axis(axis[name], name) for name in axis}
+    fixed = {}
+    for name, factor in FACTORS.items():
+        if name in given and name in axes:
+            raise ConfigError(f"{name} and axis.{name} are both given; keep one")
+        if name in given:
+            fixed[name] = _value(given[name], name, factor)
+        elif name not in axes:
+            if factor.default is None:
+                raise ConfigError(f"{name} is missing; give one value, or a list as axis.{name}")
+            fixed[name] = factor.default
 
-    values = {
-        "theta_i": tuple(
-            _number(v, f"axis.theta_i[{i}]", 0, 1)
-            for i, v in enumerate(_values(axis["theta_i"], "axis.theta_i"))
-        )
-    }
-    if "jump" in axis:
-        values["jump"] = tuple(_list(axis["jump"], "axis.jump"))
-        for i, jump in enumerate(values["jump"]):
-            if jump not in tuple(PREDICTIONS):
-                raise ConfigError(
-                    f"axis.jump[{i}] must be one of {list(PREDICTIONS)}; got {jump!r}"
-                )
-    for key in AXES:
-        if len(set(values.get(key, ()))) != len(values.get(key, ())):
-            raise ConfigError(f"axis.{key} holds a value twice: {list(values[key])}")
-    if "theta_tau" in given:
-        values["theta_tau"] = _number(given["theta_tau"], "theta_tau", 0, 0.5)
-    if "sigma" in given:
-        values["sigma"] = _number(given["sigma"], "sigma", 1e-6, 1e6)
+    others = {}
     for key, low, high in (("repeats", 1, 10_000), ("seed", 0, 2**63 - 1)):
         if key in given:
-            values[key] = _integer(given[key], key, low, high)
+            others[key] = _integer(given[key], key, low, high)
     if "demonstrations" in given:
         if not isinstance(given["demonstrations"], str):
             raise ConfigError(
                 f"demonstrations must be a file's path; got {given['demonstrations']!r}"
             )
-        values["demonstrations"] = folder / given["demonstrations"]
-        if not values["demonstrations"].is_file():
-            raise ConfigError(f"demonstrations: there is no file {values['demonstrations']}")
-    return StudyConfig(**values)
+        others["demonstrations"] = folder / given["demonstrations"]
+        if not others["demonstrations"].is_file():
+            raise ConfigError(f"demonstrations: there is no file {others['demonstrations']}")
+    return StudyConfig(axes, fixed, **others)
 
 
-def _known(given: dict, allowed: list[str] | tuple[str, ...], prefix: str):
+def _known(given: dict, allowed: tuple[str, ...], prefix: str):
     for key in given:
         if key not in allowed:
             near = difflib.get_close_matches(key, allowed, n=1)
             hint = f"; did you mean {prefix}{near[0]}?" if near else ""
-            if key in AXES and not prefix:
-                hint = "; it belongs under [axis]"
             raise ConfigError(
                 f"unknown key {prefix}{key}{hint} (known: {', '.join(prefix + a for a in allowed)})"
             )
 
 
+def _axis(given, name: str) -> tuple:
+    key = f"axis.{name}"
+    values = tuple(
+        _value(v, f"{key}[{i}]", FACTORS[name]) for i, v in enumerate(_values(given, key))
+    )
+    if len(set(values)) != len(values):
+        raise ConfigError(f"{key} holds a value twice: {list(values)}")
+    return values
+
+
 def _values(given, key: str) -> list:
-    """A list as it stands, or as `logspace = [first exponent, last exponent, how many]`."""
+    """A list as it stands, or spaced evenly, or spaced evenly between exponents of 10."""
     if not isinstance(given, dict):
         return _list(given, key)
-    _known(given, ("logspace",), f"{key}.")
-    span = given.get("logspace")
+    _known(given, ("linspace", "logspace"), f"{key}.")
+    if len(given) != 1:
+        raise ConfigError(f"{key} needs a list, or one of linspace and logspace; got {given!r}")
+    ((way, span),) = given.items()
+    what = "exponent" if way == "logspace" else "value"
     if not isinstance(span, list) or len(span) != 3:
         raise ConfigError(
-            f"{key}.logspace must be [first exponent, last exponent, how many]; got {span!r}"
+            f"{key}.{way} must be [first {what}, last {what}, how many]; got {span!r}"
         )
-    first, last = (_number(v, f"{key}.logspace[{i}]", -300, 300) for i, v in enumerate(span[:2]))
-    count = _integer(span[2], f"{key}.logspace[2]", 1, 10_000)
-    return [float(10.0**exponent) for exponent in np.linspace(first, last, count)]
+    first, last = (_number(v, f"{key}.{way}[{i}]", -300, 300) for i, v in enumerate(span[:2]))
+    count = _integer(span[2], f"{key}.{way}[2]", 1, 10_000)
+    # Rounded, that the value written and the value meant are one.
+    values = [float(f"{value:.12g}") for value in np.linspace(first, last, count)]
+    return [float(f"{10.0**v:.12g}") for v in values] if way == "logspace" else values
 
 
 def _list(given, key: str) -> list:
     if not isinstance(given, list) or not given:
         hint = "" if isinstance(given, list | dict) else f"; write [{given!r}]"
         raise ConfigError(f"{key} must be a list of at least one value; got {given!r}{hint}")
+    return given
+
+
+def _value(given, key: str, factor: Factor):
+    if factor.numeric:
+        return _number(given, key, *factor.allowed)
+    if type(given) is not type(factor.default) or given not in factor.allowed:
+        allowed = ", ".join(
+            str(a).lower() if a in (True, False) else repr(a) for a in factor.allowed
+        )
+        raise ConfigError(f"{key} must be one of {allowed}; got {given!r}")
     return given
 
 

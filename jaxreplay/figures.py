@@ -6,8 +6,9 @@ import matplotlib.pyplot as plt
 import numpy as np
 import xarray as xr
 
-from jaxreplay.replay import OUTCOMES
-from jaxreplay.study import standard_error
+from jaxreplay.config import FACTORS
+from jaxreplay.study import OUTCOMES, config_of
+from jaxreplay.table import axes_of, cells, short, standard_error, units
 
 # From light to dark, hatched besides, so that they are told apart in grey.
 COLOURS = {"S": "#cfe8cf", "Fs": "#f2b872", "Fg": "#c0504d", "Fb": "#3b3b58"}
@@ -24,37 +25,56 @@ STYLES = (  # variable, label, marker, colour, its face, and how far beside the 
 
 
 def figure_3(dataset: xr.Dataset, path: str | Path) -> None:
-    """Figure 3 of the paper, a row for each reading of a jump; saved as the path's suffix says."""
-    n = dataset.sizes["jump"]
+    """Figure 3 of the paper over a study's first numeric axis; saved as the path's suffix says.
+
+    A row for each combination of the other axes.
+    """
+    if not axes_of(dataset):
+        dataset = dataset.expand_dims(theta_i=[config_of(dataset).fixed["theta_i"]])
+    axes = axes_of(dataset)
+    along = next((a for a in ("theta_i", *axes) if a in axes and FACTORS[a].numeric), axes[0])
+    others = [a for a in axes if a != along]
+    panels = list(cells(dataset, others))
+    n = len(panels)
     with plt.rc_context({"font.size": 9, "axes.spines.top": False, "hatch.linewidth": 0.5}):
         figure, rows = plt.subplots(
             n, 2, figsize=(8, 2.7 * n + 0.5), squeeze=False, sharex=True, layout="constrained"
         )
         won = dataset.where(dataset.outcome == "S")
         tops = [1.1 * np.nan_to_num(won[name].max().item(), nan=1) for name, *_ in STYLES]
-        for axes, jump in zip(rows, dataset.jump.values, strict=True):
-            runs = dataset.sel(jump=jump)
-            _outcomes(axes[0], runs)
-            _error_and_duration(axes[1], runs, tops)
-            axes[0].set_title(READINGS[str(jump)], loc="left", fontsize=9)
-        for axes in rows[-1]:
-            axes.set_xlabel("$\\theta_I$, probability to jump to another record")
+        for row, (values, runs) in zip(rows, panels, strict=True):
+            _outcomes(row[0], runs, along)
+            _error_and_duration(row[1], runs, along, tops)
+            row[0].set_title(_title(values), loc="left", fontsize=9)
+        symbol = "$\\theta_I$, " if along == "theta_i" else ""
+        unit = units(along) and f",{units(along)}"
+        for ax in rows[-1]:
+            ax.set_xlabel(f"{symbol}{FACTORS[along].long_name}{unit}")
         handles, labels = rows[0][0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside upper center", ncols=4, frameon=False)
         figure.savefig(path, dpi=150)
         plt.close(figure)
 
 
-def _theta_axis(axes: plt.Axes, theta_i: np.ndarray):
-    axes.set_xticks(range(len(theta_i)), [_power(value) for value in theta_i])
-    axes.set_xlim(-0.6, len(theta_i) - 0.4)
+def _title(values: dict) -> str:
+    return ", ".join(
+        READINGS[value] if axis == "jump" else f"{FACTORS[axis].symbol} {short(value)}{units(axis)}"
+        for axis, value in values.items()
+    )
+
+
+def _axis(axes: plt.Axes, runs: xr.Dataset, along: str):
+    values = runs[along].values
+    write = _power if along == "theta_i" else short
+    axes.set_xticks(range(len(values)), [write(value) for value in values])
+    axes.set_xlim(-0.6, len(values) - 0.4)
 
 
 def _power(value: float) -> str:
     return "0" if value == 0 else f"$10^{{{np.log10(value):.3g}}}$"
 
 
-def _outcomes(axes: plt.Axes, runs: xr.Dataset):
+def _outcomes(axes: plt.Axes, runs: xr.Dataset, along: str):
     counts = {o: (runs.outcome == o).sum(("position", "repeat")).values for o in OUTCOMES}
     total = sum(counts.values())
     bottom = np.zeros(len(total))
@@ -69,16 +89,15 @@ def _outcomes(axes: plt.Axes, runs: xr.Dataset):
     axes.set_ylabel(f"runs, % (of {total[0]} each)")
     axes.set_ylim(0, 100)
     axes.spines["right"].set_visible(False)
-    _theta_axis(axes, runs.theta_i.values)
+    _axis(axes, runs, along)
 
 
-def _error_and_duration(axes: plt.Axes, runs: xr.Dataset, tops: list[float]):
+def _error_and_duration(axes: plt.Axes, runs: xr.Dataset, along: str, tops: list[float]):
     sides = axes, axes.twinx()
     for ax, (name, label, marker, colour, face, shift), top in zip(
         sides, STYLES, tops, strict=True
     ):
-        for k, theta_i in enumerate(runs.theta_i.values):
-            cell = runs.sel(theta_i=theta_i)
+        for k, (_, cell) in enumerate(cells(runs, [along])):
             values = cell[name].values[cell.outcome.values == "S"]
             if len(values):
                 error = standard_error(values) if len(values) > 1 else None
@@ -91,4 +110,4 @@ def _error_and_duration(axes: plt.Axes, runs: xr.Dataset, tops: list[float]):
         ax.set_ylabel(label, color=colour)
         ax.set_ylim(0, top)
     axes.set_title("successful runs: mean ± standard error", loc="right", fontsize=8)
-    _theta_axis(axes, runs.theta_i.values)
+    _axis(axes, runs, along)

@@ -18,7 +18,7 @@ from jaxreplay.params import Params
 from jaxreplay.records import Records
 from jaxreplay.scaled import Scaled, scaled
 from jaxreplay.transition import predict_own_tau, predict_same_tau
-from jaxreplay.window import follow, resize, view
+from jaxreplay.window import NOTHING, follow, resize, view
 
 PREDICTIONS = {"same_tau": predict_same_tau, "own_tau": predict_own_tau}
 LAST_STEPS = 10  # § 2.2.5
@@ -32,8 +32,9 @@ class Belief(NamedTuple):
             (see :mod:`jaxreplay.scaled`), so that no hypothesis is ever lost to underflow.
         start: the first moment held, int32; one for all records under `same_tau`, where a jump
             keeps τ, `[N]` under `own_tau`. 0 without a window.
-        dropped: the most that one step has yet dropped at the window's edges, as a share of
-            the belief; 0 without a window.
+        dropped: log2 of the likeliest hypothesis yet dropped at the window's edges, rounded
+            down, int32; of its probability within its record under `own_tau`. Very negative if
+            there was none.
     """
 
     p: Scaled
@@ -93,7 +94,7 @@ def init(records: Records, jump: str = "same_tau", window: int | None = None) ->
     return Belief(
         p=scaled(p.at[:, 0].set(1 / records.n_records)),
         start=jnp.zeros(() if jump == "same_tau" else records.n_records, jnp.int32),
-        dropped=jnp.zeros((), records.nodes.dtype),
+        dropped=jnp.asarray(NOTHING, jnp.int32),
     )
 
 

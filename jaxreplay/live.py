@@ -8,7 +8,7 @@ import numpy as np
 
 from jaxreplay.params import Params
 from jaxreplay.records import Records
-from jaxreplay.tracker import WINDOWS, Tracker
+from jaxreplay.tracker import Tracker
 
 _GOING = np.array([True])
 FAR = 1e3  # σ from the middle of a sensor's values; float32 then tells 1e-4 σ apart
@@ -58,15 +58,12 @@ class Replayer:
         check_fit(records, params)
         self._records = records
         self._tracker = Tracker(records, jax.tree.map(lambda x: x[None], params), jump)
-        nothing = np.full((1, records.n_sensors), np.nan)
-        for window in (*WINDOWS, *reversed(WINDOWS[:-1])):
-            self._tracker.resize(window)
-            self._tracker.advance(nothing, _GOING)
+        self._tracker.compile()
         self.reset()
 
     def reset(self):
         """Start again at the records' first samples."""
-        self._tracker.restart()
+        self._tracker.restart(_GOING, self._tracker.params)
         self._observed = True
         self.end_probability = self.log_evidence = 0.0
 
@@ -120,7 +117,7 @@ class Replayer:
     @property
     def following(self) -> Followed:
         """The likeliest record and moment for the next command (or the one just given)."""
-        belief = jax.tree.map(lambda x: np.asarray(x[0]), self._tracker.belief)
+        belief = jax.tree.map(np.asarray, self._tracker.belief(0))
         p = belief.p.value()
         record, column = np.unravel_index(np.argmax(p), p.shape)
         start = np.broadcast_to(belief.start, len(p))[record]

@@ -1,97 +1,183 @@
-"""The closed loop: the filter drives the plane. The only room where both meet."""
+"""The closed loop: the filter drives an environment. The only room where both meet."""
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+import gymnasium
 import jax
 import numpy as np
+from gymnasium.vector import AutoresetMode, VectorEnv
 
 from jaxreplay.params import Params
-from jaxreplay.plane.world import Plane
 from jaxreplay.records import Records
 from jaxreplay.tracker import Tracker
 
 COMPLETED = 0.9  # § 2.2.5
 CHUNK = 7  # replays that advance in one call of the filter
-OUTCOMES = ("S", "Fs", "Fg", "Fb")  # as in figure 3
 
 
 class Replays(NamedTuple):
-    """What B replays came to.
+    """What n replays came to.
 
     Attributes:
-        outcome: `[B]` S (cube held and lifted when the replay ended), Fs (not ended within the
-            time limit), Fg (ended without the cube) or Fb (left the area).
-        alignment_error: `[B]` lateral distance between the magnet's centre and the centre of
-            the face it took hold of, mm; NaN unless S.
-        duration: `[B]` s.
-        log_evidence: `[B]` log p(Z_1:t) of the whole replay.
-        widened: how often a step was done again in a wider window.
+        ending: `[n]` how each ended: "completed" (the belief reached the records' end),
+            "terminated" or "truncated" (by the environment); empty while it goes on.
+        steps: `[n]` control steps taken.
+        reward: `[n]` sum of the environment's rewards.
+        log_evidence: `[n]` log p(Z_1:t) of the whole replay.
+        info: what the environment told at each replay's last step, `[n]` for each name; NaN or
+            empty where it told nothing.
+        widened: `[1]` how often a step was done again in a wider window.
     """
 
-    outcome: np.ndarray
-    alignment_error: np.ndarray
-    duration: np.ndarray
+    ending: np.ndarray
+    steps: np.ndarray
+    reward: np.ndarray
     log_evidence: np.ndarray
-    widened: int
+    info: dict[str, np.ndarray]
+    widened: np.ndarray
 
 
 def replay(
     records: Records,
     params: Params,
-    plane: Plane,
+    env: VectorEnv,
     jump: str,
-    progress: Callable[[int, np.ndarray], None] = lambda step, outcome: None,
+    seeds: Sequence[int],
+    options: Mapping[str, np.ndarray] | None = None,
+    progress: Callable[[Replays], None] = lambda so_far: None,
 ) -> Replays:
-    """Replay the records in every world of a plane, all advancing together.
+    """Replay the records n times in the B slots of an environment.
+
+    All slots advance together; one whose replay has ended is given the next. A replay is
+    complete once the belief is within the last 10 samples of the records (§ 2.2.5): record on
+    for as long after a goal that is to be reached.
 
     Args:
-        records: demonstrations of the plane's 7 sensors and 5 commands.
-        params: `[B]`-batched parameters.
-        plane: B fresh worlds.
+        records: demonstrations of the environment's observations and actions.
+        params: `[n]`-batched parameters.
+        env: any Gymnasium vector environment with Box observations and actions whose autoreset
+            is disabled. Slots listed in its attribute `resting`, if it has one, cost nothing.
         jump: `"same_tau"` or `"own_tau"`.
-        progress: called after every control step with its number and the outcomes so far
-            (empty strings for replays that go on).
+        seeds: n seeds, one a replay.
+        options: for the environment's reset, `[n, …]` for each name; it is given those of its
+            slots, `[B, …]`. (Gymnasium's own SyncVectorEnv hands all of it to each world.)
+        progress: called after every control step.
+
+    Raises:
+        ValueError: environment and records do not fit each other, or its autoreset is on.
     """
-    p, n = plane.params, len(plane.state.robot)
-    outcome = np.full(n, "", dtype="<U2")
-    duration = np.full(n, np.nan)
-    # Chunks of one size, so that one program serves all; the last is filled up with replays that
+    _check(records, env)
+    n, slots = len(seeds), env.num_envs
+    options = options or {}
+    done = Replays(
+        np.full(n, "", dtype="<U10"),
+        np.zeros(n, int),
+        np.zeros(n),
+        np.zeros(n),
+        {},
+        np.zeros(1, int),
+    )
+    # Chunks of one size, so that one program serves all; the last is filled up with lanes that
     # never go on.
-    parts = [slice(i, i + CHUNK) for i in range(0, n, CHUNK)]
-    m = parts[-1].stop
-    going = np.zeros(m, dtype=bool)
-    z = np.zeros((m, records.n_sensors))
-    log_evidence, ended = np.zeros(m), np.zeros(m)
-    lanes = jax.tree.map(lambda x: x[np.minimum(np.arange(m), n - 1)], params)
-    chunks = [Tracker(records, jax.tree.map(lambda x, s=s: x[s], lanes), jump) for s in parts]
+    parts = [slice(i, i + CHUNK) for i in range(0, slots, CHUNK)]
+    lanes = parts[-1].stop
+    run, going = np.zeros(lanes, int), np.zeros(lanes, bool)
+    z = np.zeros((lanes, records.n_sensors))
+    gained, at_end = np.zeros(lanes), np.zeros(lanes)
+    chunks = [Tracker(records, _of(params, run[part]), jump) for part in parts]
+    waiting = 0
+
+    def start(free: np.ndarray):
+        """Give waiting runs to free slots; env and chunks begin anew there."""
+        nonlocal waiting
+        take = np.flatnonzero(free)[: n - waiting]
+        run[take] = np.arange(waiting, waiting + len(take))
+        going[take] = True
+        fresh = free.copy() if waiting == 0 else np.isin(np.arange(slots), take)
+        waiting += len(take)
+        if not fresh.any():
+            return
+        told = {name: np.asarray(value)[run[:slots]] for name, value in options.items()}
+        each = [seeds[run[b]] if going[b] else None for b in range(slots)]
+        env.reset(seed=each, options=told | {"reset_mask": fresh})
+        started = np.isin(np.arange(lanes), take)
+        for chunk, part in zip(chunks, parts, strict=True):
+            if started[part].any():
+                chunk.restart(started[part], _of(params, run[part]))
 
     def advance(chunk: Tracker, part: slice):
         if going[part].any():
-            gained, ended[part] = chunk.advance(z[part], going[part])
-            log_evidence[part] += gained
+            gained[part], at_end[part] = chunk.advance(z[part], going[part])
 
+    start(np.ones(slots, bool))
     with ThreadPoolExecutor(os.cpu_count()) as threads:
-        for step in range(1, p.max_steps + 1):
-            going[:n] = outcome == ""
-            commands = np.concatenate([chunk.command for chunk in chunks])[:n]
-            z[:n] = plane.step(commands, going[:n])
+        while going.any():
+            command = np.concatenate([chunk.command for chunk in chunks])[:slots]
+            z[:slots], reward, terminated, truncated, info = env.step(
+                command.astype(env.single_action_space.dtype)
+            )
             list(threads.map(advance, chunks, parts))
 
-            completed = ended[:n] > COMPLETED
+            now, busy = run[:slots][going[:slots]], going[:slots].copy()
+            done.steps[now] += 1
+            done.reward[now] += reward[busy]
+            done.log_evidence[now] += gained[:slots][busy]
+            completed = at_end[:slots] > COMPLETED
             for name, is_so in (
-                ("Fb", plane.outside),
-                ("S", completed & plane.lifted),
-                ("Fg", completed),
-                ("Fs", np.full(n, step == p.max_steps)),
+                ("terminated", terminated),
+                ("completed", completed),
+                ("truncated", truncated),
             ):
-                outcome[(outcome == "") & is_so] = name
-            duration[going[:n]] = step * p.control_period
-            progress(step, outcome)
-            if (outcome != "").all():
-                break
-    error = np.where(outcome == "S", 1e3 * plane.alignment_error, np.nan)
-    widened = sum(chunk.widened for chunk in chunks)
-    return Replays(outcome, error, duration, log_evidence[:n], widened)
+                ends = is_so & going[:slots]
+                done.ending[run[:slots][ends]] = name
+                going[:slots][ends] = False
+            ended = busy & ~going[:slots]
+            if ended.any():
+                _keep(done.info, info, run[:slots], ended, n)
+                if hasattr(env, "resting"):
+                    env.resting[ended] = True
+                start(ended)
+            over = (terminated | truncated) & ~going[:slots]
+            if over.any() and not hasattr(env, "resting"):
+                env.reset(options={"reset_mask": over})  # it cannot be stepped otherwise
+            done.widened[0] = sum(chunk.widened for chunk in chunks)
+            progress(done)
+    return done
+
+
+def _of(params: Params, runs: np.ndarray) -> Params:
+    return jax.tree.map(lambda x: x[runs], params)
+
+
+def _keep(
+    kept: dict[str, np.ndarray], info: dict[str, Any], run: np.ndarray, ended: np.ndarray, n: int
+):
+    """Take over what the environment tells of the slots that ended, where it tells an array."""
+    for name, value in info.items():
+        if name.startswith("_") or not isinstance(value, np.ndarray):
+            continue
+        if name not in kept:
+            nothing = np.nan if value.dtype.kind == "f" else value.dtype.type()
+            kept[name] = np.full((n, *value.shape[1:]), nothing, value.dtype)
+        told = ended & info.get(f"_{name}", True)
+        kept[name][run[told]] = value[told]
+
+
+def _check(records: Records, env: VectorEnv):
+    mode = env.metadata.get("autoreset_mode")
+    if mode != AutoresetMode.DISABLED:
+        raise ValueError(
+            f"the environment's autoreset mode is {mode}; make it with AutoresetMode.DISABLED, so "
+            "that a slot restarts when its replay has ended and not before"
+        )
+    for what, space, wanted in (
+        ("observations", env.single_observation_space, records.n_sensors),
+        ("actions", env.single_action_space, records.n_commands),
+    ):
+        if not isinstance(space, gymnasium.spaces.Box) or space.shape != (wanted,):
+            raise ValueError(
+                f"the environment's {what} are {space}; the records have {wanted} numbers a row"
+            )

@@ -8,20 +8,23 @@ from dataclasses import asdict
 from importlib.metadata import version
 from itertools import product
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
 
-from jaxreplay.config import ConfigError, StudyConfig
+from jaxreplay.config import FACTORS, ConfigError, StudyConfig
 from jaxreplay.params import Params
 from jaxreplay.plane.demonstrator import DEMONSTRATED, TESTED, facing, record
+from jaxreplay.plane.env import PlaneVectorEnv
 from jaxreplay.plane.params import COMMAND_NAMES, SENSOR_NAMES, SENSOR_RANGES, PlaneParams
-from jaxreplay.plane.world import Plane
 from jaxreplay.records import Records
-from jaxreplay.replay import OUTCOMES, replay
+from jaxreplay.replay import Replays, replay
 
 DATASET = "study.nc"
-_RUNS = 2  # keeps the runs' random streams apart from the demonstrations'
+OUTCOMES = ("S", "Fs", "Fg", "Fb")  # as in figure 3
+STALLS = ("fixed", "cyclic", "slow")
+SLOTS = 112  # worlds that advance together
 
 
 def demonstrations(config: StudyConfig, folder: Path) -> Records:
@@ -63,21 +66,83 @@ def demonstrations(config: StudyConfig, folder: Path) -> Records:
     return records
 
 
+class Runs(NamedTuple):
+    """The n runs of a study, in the order of its dataset's dimensions.
+
+    Attributes:
+        values: for each factor, its value in each run, `[n]`.
+        position: `[n]` index into the test positions.
+        repeat: `[n]`.
+    """
+
+    values: dict[str, np.ndarray]
+    position: np.ndarray
+    repeat: np.ndarray
+
+    def __len__(self) -> int:
+        """How many."""
+        return len(self.position)
+
+    def of(self, which: np.ndarray) -> "Runs":
+        """Some of them."""
+        values = {name: value[which] for name, value in self.values.items()}
+        return Runs(values, self.position[which], self.repeat[which])
+
+
+def runs_of(config: StudyConfig) -> Runs:
+    """All runs of a study: every combination of its axes × test positions × repeats."""
+    grid = list(product(*config.axes.values(), range(len(TESTED)), range(config.repeats)))
+    *columns, position, repeat = (np.array(column) for column in zip(*grid, strict=True))
+    values = {name: np.full(len(grid), value) for name, value in config.fixed.items()}
+    values |= dict(zip(config.axes, columns, strict=True))
+    return Runs({name: values[name] for name in FACTORS}, position, repeat)
+
+
+def setting(config: StudyConfig, runs: Runs) -> tuple[Params, list[int], dict[str, np.ndarray]]:
+    """What :func:`jaxreplay.replay.replay` needs for runs: parameters, seeds and options.
+
+    A run's seed follows from the study's seed, its factors' values, its position and repeat: it
+    is the same in whatever study the run stands, and at whatever place.
+    """
+    values = runs.values
+    params = Params(
+        theta_i=values["theta_i"],
+        theta_tau=values["theta_tau"],
+        sigma=values["sigma"][:, None] * np.array(SENSOR_RANGES),
+    )
+    seeds = []
+    for k in range(len(runs)):
+        what = {name: value[k].item() for name, value in values.items()}
+        key = json.dumps([config.seed, what, int(runs.position[k]), int(runs.repeat[k])])
+        seeds.append(int.from_bytes(hashlib.sha256(key.encode()).digest()[:8]))
+    options = {name: values[name] for name in ("motor_unit", "dithering", "battery")}
+    options |= {"sensor_noise": values["sensor_noise"], "cube": facing(TESTED[runs.position])}
+    return params, seeds, options
+
+
+def outcomes(replays: Replays) -> np.ndarray:
+    """`[n]` how replays in the plane ended, as in figure 3; empty for those that go on.
+
+    S: the cube is held and lifted when the replay ends. Fs: not ended within the time limit.
+    Fg: ended without the cube. Fb: left the area.
+    """
+    success = replays.info.get("is_success", np.zeros(len(replays.ending), bool))
+    completed = np.where(success, "S", "Fg")
+    ways = [replays.ending == way for way in ("terminated", "completed", "truncated")]
+    return np.select(ways, ["Fb", completed, "Fs"], "")
+
+
 def run_study(
     config: StudyConfig,
     folder: str | Path,
-    progress: Callable[[str, int, np.ndarray], None] = lambda jump, step, outcome: None,
+    progress: Callable[[str, Replays], None] = lambda jump, so_far: None,
 ) -> xr.Dataset:
     """Run all of a study, one batch per reading of a jump, and write it to a folder.
-
-    Every run has a random stream of its own, keyed by the seed and the run's place in the
-    grid of θ_I × position × repeat; both readings meet the same ones.
 
     Args:
         config: the study.
         folder: made if absent; what else lies in it is left alone.
-        progress: called after each control step of a batch with the reading, the step and the
-            outcomes so far.
+        progress: called after each control step of a batch with the reading and its replays.
 
     Returns:
         What :func:`open_study` gives.
@@ -89,44 +154,40 @@ def run_study(
     folder = Path(folder)
     records = demonstrations(config, folder)
     folder.mkdir(parents=True, exist_ok=True)
-    plane = PlaneParams()
-    grid = list(product(config.theta_i, range(len(TESTED)), range(config.repeats)))
-    theta_i, position, _ = (np.array(column) for column in zip(*grid, strict=True))
-    n = len(grid)
-    params = Params(
-        theta_i=theta_i,
-        theta_tau=np.full(n, config.theta_tau),
-        sigma=np.tile(config.sigma * np.array(SENSOR_RANGES), (n, 1)),
-    )
-    cubes = facing(TESTED[position])
-    keys = [(config.seed, _RUNS, run) for run in range(n)]
-    results = [
-        replay(
-            records,
-            params,
-            Plane(plane, cubes, keys),
-            jump,
-            lambda step, outcome, jump=jump: progress(jump, step, outcome),
-        )
-        for jump in config.jump
-    ]
+    runs = runs_of(config)
+    n = len(runs)
+    results = {name: np.zeros(n) for name in ("alignment_error", "duration", "log_evidence")}
+    results |= {"outcome": np.full(n, "", "<U2"), "stall": np.full(n, "", "<U6")}
+    widened = 0
+    for jump in dict.fromkeys(runs.values["jump"]):
+        which = np.flatnonzero(runs.values["jump"] == jump)
+        params, seeds, options = setting(config, runs.of(which))
+        env = PlaneVectorEnv(min(SLOTS, len(which)))
+        replays = replay(
+            records, params, env, str(jump), seeds, options,
+            lambda so_far, jump=jump: progress(str(jump), so_far),
+        )  # fmt: skip
+        outcome = outcomes(replays)
+        error = np.where(outcome == "S", 1e3 * replays.info["alignment_error"], np.nan)
+        for name, values in (
+            ("outcome", outcome),
+            ("stall", replays.info["stall"]),
+            ("alignment_error", error),
+            ("duration", replays.steps * env.params.control_period),
+            ("log_evidence", replays.log_evidence),
+        ):
+            results[name][which] = values
+        widened += int(replays.widened[0])
 
-    shape = (len(config.theta_i), len(TESTED), config.repeats)
-    dims = ("jump", "theta_i", "position", "repeat")
-    described = {
-        "outcome": {"long_name": "outcome of the run", "values": " ".join(OUTCOMES)},
-        "alignment_error": {"units": "mm", "long_name": "alignment error"},
-        "duration": {"units": "s", "long_name": "run duration"},
-        "log_evidence": {"units": "1", "long_name": "log p(Z_1:t) of the run"},
-    }
+    dims = (*config.axes, "position", "repeat")
+    shape = (*map(len, config.axes.values()), len(TESTED), config.repeats)
     dataset = xr.Dataset(
-        {
-            name: (dims, np.stack([getattr(r, name).reshape(shape) for r in results]), attributes)
-            for name, attributes in described.items()
-        },
+        {name: (dims, results[name].reshape(shape), about) for name, about in _ABOUT.items()},
         coords={
-            "jump": list(config.jump),
-            "theta_i": ("theta_i", list(config.theta_i), {"long_name": "θ_I", "units": "1"}),
+            name: (name, [str(v) if isinstance(v, bool) else v for v in values], _about(name))
+            for name, values in config.axes.items()
+        }
+        | {
             "position": np.arange(len(TESTED)),
             "repeat": np.arange(config.repeats),
             "cube_x": ("position", TESTED[:, 0], {"units": "m", "long_name": "cube, ahead"}),
@@ -134,23 +195,46 @@ def run_study(
         },
         attrs={
             "config": json.dumps(asdict(config), default=str),
-            "plane": json.dumps(asdict(plane)),
+            "plane": json.dumps(asdict(PlaneParams())),
             "jaxreplay": version("jaxreplay"),
-            "widened": sum(result.widened for result in results),
+            "widened": widened,
         },
-    ).transpose("theta_i", "jump", "position", "repeat")
+    )
     part = folder / f"{DATASET}.part"
     dataset.to_netcdf(part, engine="scipy")
     os.replace(part, folder / DATASET)
     return dataset
 
 
+_ABOUT = {
+    "outcome": {"long_name": "outcome of the run", "values": " ".join(OUTCOMES)},
+    "stall": {"long_name": "what an Fs is", "values": " ".join(STALLS)},
+    "alignment_error": {"units": "mm", "long_name": "alignment error"},
+    "duration": {"units": "s", "long_name": "run duration"},
+    "log_evidence": {"units": "1", "long_name": "log p(Z_1:t) of the run"},
+}
+
+
+def _about(name: str) -> dict[str, str]:
+    factor = FACTORS[name]
+    return {"long_name": factor.long_name} | ({"units": factor.units} if factor.numeric else {})
+
+
+def config_of(dataset: xr.Dataset) -> StudyConfig:
+    """The config that a dataset came from."""
+    held = json.loads(dataset.attrs["config"])
+    held["axes"] = {name: tuple(values) for name, values in held["axes"].items()}
+    path = held["demonstrations"]
+    return StudyConfig(**held | {"demonstrations": path and Path(path)})
+
+
 def open_study(folder: str | Path) -> xr.Dataset:
     """The dataset of a study, wholly read; `folder` may also be the file itself.
 
     Returns:
-        Variables `outcome` (S, Fs, Fg or Fb), `alignment_error` (mm, NaN unless S), `duration`
-        (s) and `log_evidence` over the dimensions `theta_i`, `jump`, `position` and `repeat`.
+        Variables `outcome` (S, Fs, Fg or Fb), `stall` (fixed, cyclic or slow for an Fs),
+        `alignment_error` (mm, NaN unless S), `duration` (s) and `log_evidence` over the axes of
+        the study, `position` and `repeat`.
 
     Raises:
         FileNotFoundError: there is no study in the folder.
@@ -165,42 +249,8 @@ def open_study(folder: str | Path) -> xr.Dataset:
     try:
         with xr.open_dataset(path, engine="scipy") as dataset:
             dataset = dataset.load()
-        dataset["outcome"] = dataset.outcome.astype("<U2")
+        for name, width in (("outcome", 2), ("stall", 6)):
+            dataset[name] = dataset[name].astype(f"<U{width}")
         return dataset
     except (OSError, ValueError, TypeError, KeyError, AttributeError, IndexError) as error:
         raise ValueError(f"{path} does not hold a study (truncated?): {error}") from error
-
-
-def table(dataset: xr.Dataset) -> str:
-    """The study in words: for each reading and θ_I how runs ended, and how well and how fast."""
-    lines = []
-    for jump in dataset.jump.values:
-        lines += [
-            f"jump = {jump}",
-            f"{'θ_I':>9}"
-            + "".join(f"{name:>5}" for name in OUTCOMES)
-            + f"{'error of S, mm':>18}{'duration of S, s':>20}",
-        ]
-        for theta_i in dataset.theta_i.values:
-            runs = dataset.sel(jump=jump, theta_i=theta_i)
-            outcome = runs.outcome.values.ravel()
-            row = f"{theta_i:9.2e}" + "".join(f"{np.sum(outcome == o):5d}" for o in OUTCOMES)
-            for name, width in (("alignment_error", 18), ("duration", 20)):
-                row += mean_and_error(runs[name].values.ravel()[outcome == "S"]).rjust(width)
-            lines.append(row)
-        lines.append("")
-    return "\n".join([*lines, "± is the standard error of the mean"])
-
-
-def mean_and_error(values: np.ndarray) -> str:
-    """`mean ± standard error`, as far as there are values."""
-    if len(values) == 0:
-        return "–"
-    if len(values) == 1:
-        return f"{values[0]:.2f}"
-    return f"{values.mean():.2f} ± {standard_error(values):.2f}"
-
-
-def standard_error(values: np.ndarray) -> float:
-    """Of the mean; NaN for fewer than two values."""
-    return values.std(ddof=1) / len(values) ** 0.5 if len(values) > 1 else np.nan

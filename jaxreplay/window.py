@@ -2,9 +2,11 @@
 
 The equations run unchanged on a *view*: the records cut to the W moments that are held, with
 their lengths counted from the window's start. What moves is the start. A belief that is wider
-than its window loses what falls off either edge; the loss is measured, and the largest of a step
-kept in `Belief.dropped`: do a step that lost too much again, from the belief before it brought to
-a wider window by :func:`resize`. After t steps τ ≤ 2 t, so the first (W − 1) / 2 lose nothing.
+than its window loses what falls off either edge, and `Belief.dropped` keeps how likely the
+likeliest lost hypothesis was, in bits. That matters even where it is tiny: a hypothesis of 2^-100
+may win later, when an observation rules out all others. Do a step that lost too much again, from
+the belief before it brought to a wider window by :func:`resize`. After t steps τ ≤ 2 t, so the
+first (W − 1) / 2 lose nothing.
 """
 
 import dataclasses
@@ -15,13 +17,14 @@ import jax
 import jax.numpy as jnp
 
 from jaxreplay.records import Records
-from jaxreplay.scaled import Scaled, less
+from jaxreplay.scaled import LOWEST, Scaled, less
 
 if TYPE_CHECKING:
     from jaxreplay.filter import Belief
 
 STRIDE = 8  # moments a window moves by, or not at all
 REACH = 2  # moments a step of equation 4 advances at most
+NOTHING = 2 * LOWEST  # bits of a hypothesis that was not there
 _BEHIND, _AHEAD = slice(None, STRIDE), slice(-STRIDE, None)
 
 
@@ -53,8 +56,8 @@ def follow(records: Records, belief: "Belief") -> "Belief":
     p = _window(belief.p.padded((0, STRIDE)), stride, held)
     start = belief.start + stride
     passing = (column >= held - REACH) & (start + held < records.lengths)[:, None]
-    lost = belief.p.where(leaving).sum().value() + p.where(passing).sum().value()
-    return belief._replace(p=p, start=start, dropped=jnp.maximum(belief.dropped, lost))
+    lost = jnp.maximum(_bits(belief.p.where(leaving), belief), _bits(p.where(passing), belief))
+    return belief._replace(p=p, start=start, dropped=jnp.maximum(belief.dropped, jnp.max(lost)))
 
 
 def resize(records: Records, belief: "Belief", window: int | None) -> "Belief":
@@ -68,17 +71,24 @@ def resize(records: Records, belief: "Belief", window: int | None) -> "Belief":
         p = belief.p.padded((wanted - held, wanted - held))
         p = _window(p, start - belief.start + (wanted - held), wanted)
         return belief._replace(p=p, start=start)
-    mass = belief.p.value()
-    mass = mass.sum(axis=0) if belief.start.ndim == 0 else mass
-    before = jnp.cumsum(mass, axis=-1) - mass
-    after = jnp.flip(jnp.cumsum(jnp.flip(mass, -1), axis=-1), -1)
-    after = jnp.pad(after, [(0, 0)] * (mass.ndim - 1) + [(0, 1)])
-    loss = before[..., : held - wanted + 1] + after[..., wanted:]
-    dropped = jnp.maximum(belief.dropped, jnp.min(loss, axis=-1).sum())
-    cut = jnp.argmin(loss, axis=-1).astype(belief.start.dtype)
+    bits = _bits(belief.p, belief)
+    bits = jnp.max(bits, axis=0) if belief.start.ndim == 0 else bits
+    nothing = jnp.full((*bits.shape[:-1], 1), NOTHING)
+    before = jnp.concatenate([nothing, jax.lax.cummax(bits, axis=bits.ndim - 1)], axis=-1)
+    after = jax.lax.cummax(bits, axis=bits.ndim - 1, reverse=True)
+    after = jnp.concatenate([after, nothing], axis=-1)
+    lost = jnp.maximum(before[..., : held - wanted + 1], after[..., wanted:])
+    cut = jnp.argmin(lost, axis=-1).astype(belief.start.dtype)
+    dropped = jnp.maximum(belief.dropped, jnp.max(jnp.min(lost, axis=-1)))
     return belief._replace(
         p=_window(belief.p, cut, wanted), start=belief.start + cut, dropped=dropped
     )
+
+
+def _bits(part: Scaled, belief: "Belief") -> jax.Array:
+    """log2 of probabilities `[N, …]`, rounded down, in each record's own if they are kept apart."""
+    of = 0 if belief.start.ndim == 0 else jnp.max(belief.p.exponent, axis=1, keepdims=True)
+    return jnp.where(part.mantissa == 0, NOTHING, jnp.maximum(part.exponent - of, NOTHING))
 
 
 def _window(p: Scaled, start: jax.Array, width: int) -> Scaled:

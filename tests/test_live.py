@@ -18,11 +18,10 @@ def records_and_params(lengths=(200, 160, 120)):
 def replayer(request):
     sensors, commands, records, params = records_and_params()
     with pytest.MonkeyPatch.context() as patch:
-        for module in (tracker, live):  # one narrow window, to compile less
-            patch.setattr(module, "WINDOWS", (64, None))
+        patch.setattr(tracker, "WINDOWS", (64, None))  # to compile less
         made = Replayer(records, params, request.param)
-    made.jump, made.sensors, made.commands = request.param, sensors, commands
-    return made
+        made.jump, made.sensors, made.commands = request.param, sensors, commands
+        yield made
 
 
 def test_it_is_the_reference_with_numpy_in_and_out(replayer):

@@ -4,11 +4,13 @@ import xarray as xr
 
 import jaxreplay as jr
 from jaxreplay import cli
-from jaxreplay.config import ConfigError, load_config
-from jaxreplay.plane.demonstrator import TESTED
-from jaxreplay.plane.params import COMMAND_NAMES, SENSOR_NAMES
+from jaxreplay.config import FACTORS, ConfigError, StudyConfig, load_config
+from jaxreplay.figures import figure_3
+from jaxreplay.plane.demonstrator import TESTED, facing
+from jaxreplay.plane.params import COMMAND_NAMES, SENSOR_NAMES, SENSOR_RANGES
 from jaxreplay.records import Records
-from jaxreplay.study import table
+from jaxreplay.study import config_of, run_study, runs_of, setting
+from jaxreplay.table import table
 
 SMALL = """
 seed = 4
@@ -16,6 +18,14 @@ repeats = 1
 [axis]
 theta_i = [0.01]
 jump = ["own_tau"]
+"""
+DITHERED = """
+seed = 4
+repeats = 1
+theta_i = 0.01
+jump = "own_tau"
+[axis]
+dithering = [true, false]
 """
 
 
@@ -33,6 +43,13 @@ def study(tmp_path_factory):
     config = write(tmp_path_factory.mktemp("config"), SMALL)
     assert cli.main(["run", str(config), "--out", str(folder)]) == 0
     return config, folder
+
+
+@pytest.fixture(scope="module")
+def dithered(tmp_path_factory):
+    """A study of which the one above is a half, and what running it returned."""
+    folder = tmp_path_factory.mktemp("dithered")
+    return folder, run_study(load_config(write(folder, DITHERED)), folder)
 
 
 def test_a_study_leaves_dataset_figure_and_demonstrations(study):
@@ -56,17 +73,75 @@ def test_the_dataset_is_labelled(study):
     assert set(np.unique(dataset.outcome)) <= {"S", "Fs", "Fg", "Fb"}
     won = dataset.sel(theta_i=0.01, jump="own_tau").outcome == "S"
     assert won.any()
-    assert np.isfinite(dataset.alignment_error.values[0, 0][won.values]).all()
+    errors = dataset.alignment_error.values[0, 0]
+    np.testing.assert_array_equal(np.isfinite(errors), won.values)
+    assert np.nanmax(errors) < 20  # mm: no magnet holds a face further aside
     assert np.isfinite(dataset.log_evidence).all()
+
+
+def test_a_stall_is_told_of_each_run_over_3_minutes_and_of_no_other(study, dithered):
+    for dataset in (jr.open_study(study[1]), dithered[1]):
+        stalled = dataset.outcome == "Fs"
+        np.testing.assert_array_equal(dataset.stall.isin(["fixed", "cyclic", "slow"]), stalled)
+        np.testing.assert_array_equal(dataset.stall == "", ~stalled)
+        np.testing.assert_array_equal(dataset.duration == 180, stalled)
+
+
+def test_running_a_study_returns_what_opening_it_does(dithered):
+    folder, returned = dithered
+    opened = jr.open_study(folder)
+    xr.testing.assert_identical(returned, opened)
+    assert opened.outcome.dims == ("dithering", "position", "repeat")
+    assert list(opened.dithering.values) == ["True", "False"]
+    assert config_of(opened) == load_config(folder / "study.toml")
+
+
+def test_a_run_comes_to_the_same_in_whichever_study_it_stands(study, dithered):
+    alone = jr.open_study(study[1]).isel(theta_i=0, jump=0, drop=True)
+    among = dithered[1].sel(dithering="False", drop=True)
+    xr.testing.assert_equal(alone, among)
+    assert not (dithered[1].sel(dithering="True").log_evidence == alone.log_evidence).any()
+
+
+def test_a_study_of_one_value_each_has_a_row_and_a_figure(dithered, tmp_path):
+    dataset = dithered[1].isel(dithering=0, drop=True)
+    assert len([line for line in table(dataset).splitlines() if line]) == 3
+    figure_3(dataset, tmp_path / "figure.png")
+    assert (tmp_path / "figure.png").stat().st_size > 0
+
+
+def test_a_study_of_no_numbers_has_a_figure(dithered, tmp_path):
+    figure_3(dithered[1], tmp_path / "figure.png")
+    assert (tmp_path / "figure.png").stat().st_size > 0
 
 
 def test_the_table_counts_the_dataset(study):
     dataset = jr.open_study(study[1])
     counts = [int((dataset.outcome == o).sum()) for o in ("S", "Fs", "Fg", "Fb")]
-    row = next(line for line in table(dataset).splitlines() if line.strip().startswith("1.00e-02"))
-    assert [int(n) for n in row.split()[1:5]] == counts
+    row = table(dataset).splitlines()[1]
+    assert row.split()[:2] == ["0.01", "own_tau"]
+    assert [int(n) for n in row.split()[2:6]] == counts
     errors = dataset.alignment_error.values[dataset.outcome.values == "S"]
     assert f"{errors.mean():.2f}" in row
+
+
+def test_a_row_of_the_table_is_a_cell_of_the_study():
+    dims = ("motor_unit", "dithering", "position", "repeat")
+    cells = {
+        "outcome": [["S", "S", "Fs"], ["Fs", "Fs", "Fb"]],
+        "stall": [["", "", "cyclic"], ["fixed", "slow", ""]],
+        "alignment_error": [[1, 3, np.nan], 3 * [np.nan]],
+        "duration": [[60, 70, 180], [180, 180, 9]],
+    }
+    variables = {name: (dims, np.array(cell).reshape(1, 2, 1, 3)) for name, cell in cells.items()}
+    coords = {"motor_unit": [0.0025], "dithering": ["True", "False"]}
+    header, *rows = table(xr.Dataset(variables, coords)).splitlines()
+    assert "motor unit" in header
+    assert [" ".join(row.split()) for row in rows[:3]] == [
+        "0.0025 on 2 1 0 0 0 1 0 2.00 ± 1.00 65.00 ± 5.00",
+        "0.0025 off 0 2 0 1 1 0 1 – –",
+        "",
+    ]
 
 
 def test_the_same_seed_gives_the_same_study(study, tmp_path):
@@ -85,41 +160,136 @@ def test_opening_what_is_no_study(tmp_path):
 
 def test_the_shipped_experiment_is_the_papers(request):
     config = load_config(request.config.rootpath / "experiments" / "theta_i.toml")
-    np.testing.assert_allclose(np.log10(config.theta_i), [-0.5, -1, -1.5, -2, -2.5, -3, -3.5])
-    assert config.jump == ("same_tau", "own_tau")
-    assert (config.theta_tau, config.sigma, config.repeats) == (0.05, 0.1, 3)
+    assert list(config.axes) == ["theta_i", "jump"]
+    np.testing.assert_allclose(
+        np.log10(config.axes["theta_i"]), [-0.5, -1, -1.5, -2, -2.5, -3, -3.5]
+    )
+    assert config.axes["jump"] == ("same_tau", "own_tau")
+    assert (config.fixed["theta_tau"], config.fixed["sigma"], config.repeats) == (0.05, 0.1, 3)
+    assert not config.fixed["dithering"]
+
+
+def test_every_shipped_experiment_can_be_read(request):
+    paths = list((request.config.rootpath / "experiments").glob("*.toml"))
+    assert paths
+    for path in paths:
+        assert len(runs_of(load_config(path))) > 0
+
+
+def test_a_factor_is_one_value_or_an_axis_in_the_files_order(tmp_path):
+    config = load_config(
+        write(
+            tmp_path,
+            """
+            sigma = 0.2
+            battery = 1
+            [axis]
+            sensor_noise = {linspace = [0, 2, 5]}
+            dithering = [true, false]
+            theta_i.logspace = [-1, -3, 3]
+            """,
+        )
+    )
+    assert list(config.axes.items()) == [
+        ("sensor_noise", (0.0, 0.5, 1.0, 1.5, 2.0)),
+        ("dithering", (True, False)),
+        ("theta_i", (0.1, 0.01, 0.001)),
+    ]
+    assert config.fixed == {
+        "theta_tau": 0.05, "sigma": 0.2, "jump": "same_tau", "motor_unit": 0.005, "battery": 1.0,
+    }  # fmt: skip
+    runs = runs_of(config)
+    assert len(runs) == 5 * 2 * 3 * 5 * 3  # … × positions × repeats
+    assert set(runs.values) == set(FACTORS)
+    first = {name: values[0].item() for name, values in runs.values.items()}
+    assert first == config.fixed | {"sensor_noise": 0.0, "dithering": True, "theta_i": 0.1}
+    np.testing.assert_array_equal(runs.repeat[:4], [0, 1, 2, 0])
+    np.testing.assert_array_equal(runs.position[:16:3], [0, 1, 2, 3, 4, 0])
+    np.testing.assert_array_equal(runs.values["theta_i"][:46:15], [0.1, 0.01, 0.001, 0.1])
+
+
+def test_what_a_run_is_told_follows_from_its_own_values():
+    values = {name: factor.default for name, factor in FACTORS.items()} | {"theta_i": 0.1}
+
+    def config(seed=7, **axes):
+        fixed = {name: value for name, value in values.items() if name not in axes}
+        return StudyConfig(axes, fixed, repeats=2, seed=seed)
+
+    def told(config):
+        params, seeds, options = setting(config, runs := runs_of(config))
+        sigma = np.asarray(params.sigma) / SENSOR_RANGES
+        np.testing.assert_allclose(sigma.T, np.tile(runs.values["sigma"], (7, 1)), rtol=1e-6)
+        np.testing.assert_array_equal(options["cube"], facing(TESTED[runs.position]))
+        for name in ("motor_unit", "dithering", "battery", "sensor_noise"):
+            np.testing.assert_array_equal(options[name], runs.values[name])
+        return np.array(seeds, np.uint64)
+
+    one, two = config(theta_i=(0.1,)), config(theta_i=(0.2, 0.1))
+    assert len(set(told(two))) == 20
+    np.testing.assert_array_equal(told(one), told(two)[10:])
+    np.testing.assert_array_equal(told(one), told(config()))
+    crossed = told(config(dithering=(True, False), theta_i=(0.1, 0.2))).reshape(2, 2, 10)
+    turned = told(config(theta_i=(0.2, 0.1), dithering=(False, True))).reshape(2, 2, 10)
+    np.testing.assert_array_equal(crossed, turned.swapaxes(0, 1)[::-1, ::-1])
+    np.testing.assert_array_equal(crossed[1, 0], told(one))
+    assert not set(told(one)) & set(told(config(seed=8)))
+    each = setting(two, runs_of(two).of(np.array([13, 2])))[1]
+    np.testing.assert_array_equal(np.array(each, np.uint64), told(two)[[13, 2]])
 
 
 @pytest.mark.parametrize(
     ("text", "message"),
     [
         ("theta_ta = 0.1\n[axis]\ntheta_i = [0.1]", "unknown key theta_ta; did you mean theta_tau"),
-        ("[axis]\ntheta_i = [0.1]\nsigma = [1]", r"unknown key axis\.sigma"),
+        (
+            "[axis]\ntheta_i = [0.1]\nsigm = [1]",
+            r"unknown key axis\.sigm; did you mean axis\.sigma",
+        ),
         ("[axis]\ntheta_i = [0.1, 1.5]", r"axis\.theta_i\[1\] must be in \[0, 1\]; got 1\.5"),
         ("[axis]\ntheta_i = [nan]", r"axis\.theta_i\[0\] must be in"),
-        ("[axis]\ntheta_i = 0.1", r"axis\.theta_i must be a list"),
+        ("[axis]\ntheta_i = 0.1", r"axis\.theta_i must be a list.*; write \[0\.1\]"),
         ("[axis]\ntheta_i = []", r"axis\.theta_i must be a list of at least one"),
         ("[axis]\ntheta_i = [0.1, 0.1]", r"axis\.theta_i holds a value twice"),
         ("[axis]\ntheta_i = ['a']", r"axis\.theta_i\[0\] must be a number; got 'a'"),
         ("[axis]\ntheta_i = {logspac = [0, 1, 2]}", r"unknown key axis\.theta_i\.logspac; did you"),
         ("[axis]\ntheta_i = {logspace = [0, 1]}", r"logspace must be \[first exponent"),
+        (
+            "[axis]\ntheta_i = {linspace = [0, 1]}",
+            r"linspace must be \[first value, last value, how",
+        ),
         ("[axis]\ntheta_i = {logspace = [0, 1, 2]}", r"axis\.theta_i\[1\] must be in \[0, 1\]"),
         ("[axis]\ntheta_i = {logspace = [0, -1, 2.5]}", r"logspace\[2\] must be a whole number"),
-        ("[axis]\njump = ['same_tau']", r"axis\.theta_i is missing"),
+        (
+            "[axis]\ntheta_i = {linspace = [0, 1, 2], logspace = [0, 1, 2]}",
+            "needs a list, or one of",
+        ),
+        ("[axis]\ntheta_i = {}", "needs a list, or one of linspace and logspace"),
+        (
+            "[axis]\njump = ['same_tau']",
+            r"theta_i is missing; give one value, or a list as axis\.the",
+        ),
+        ("theta_i = 0.1\n[axis]\ntheta_i = [0.1]", r"theta_i and axis\.theta_i are both given"),
+        ("theta_i = [0.1]", r"theta_i must be a number; got \[0\.1\]"),
         ("[axis]\ntheta_i = [0.1]\njump = ['both']", r"axis\.jump\[0\] must be one of"),
         ("axis = 3", "axis must be a table"),
-        ("theta_tau = 0.6\n[axis]\ntheta_i = [0.1]", r"theta_tau must be in \[0, 0\.5\]; got 0\.6"),
-        ("sigma = 0\n[axis]\ntheta_i = [0.1]", r"sigma must be in \[1e-06, 1e\+06\]; got 0"),
-        ("sigma = inf\n[axis]\ntheta_i = [0.1]", "sigma must be in"),
-        ("repeats = 0\n[axis]\ntheta_i = [0.1]", "repeats must be a whole number from 1 to"),
-        ("repeats = 10000000000\n[axis]\ntheta_i = [0.1]", "repeats must be a whole number"),
-        ("theta_i = [0.1]", r"unknown key theta_i; it belongs under \[axis\]"),
+        ("theta_i = 0.1\ntheta_tau = 0.6", r"theta_tau must be in \[0, 0\.5\]; got 0\.6"),
+        ("theta_i = 0.1\nsigma = 0", r"sigma must be in \[1e-06, 1e\+06\]; got 0"),
+        ("theta_i = 0.1\nsigma = inf", "sigma must be in"),
+        ("theta_i = 0.1\ndithering = 1", "dithering must be one of false, true; got 1"),
+        ("theta_i = 0.1\naxis.dithering = [true, 0]", r"axis\.dithering\[1\] must be one of false"),
+        ("theta_i = 0.1\nmotor_unit = 0", r"motor_unit must be in \[1e-06, 0\.3\]; got 0"),
+        ("theta_i = 0.1\nbattery = 2", r"battery must be in \[0\.05, 1\.5\]; got 2"),
+        ("theta_i = 0.1\nsensor_noise = -1", r"sensor_noise must be in \[0, 100\]; got -1"),
+        ("theta_i = 0.1\nsensor_noise = true", "sensor_noise must be a number; got True"),
+        ("theta_i = 0.1\nrepeats = 0", "repeats must be a whole number from 1 to"),
+        ("theta_i = 0.1\nrepeats = 10000000000", "repeats must be a whole number"),
         ("[axis]\ntheta_i = [0.1]\njump = [['own_tau']]", r"axis\.jump\[0\] must be one of"),
         ("[axis]\ntheta_i = [0.1]\njump = 'own_tau'", r"got 'own_tau'; write \['own_tau'\]"),
-        (f"theta_tau = {'9' * 400}\n[axis]\ntheta_i = [0.1]", r"theta_tau must be in"),
-        ("seed = true\n[axis]\ntheta_i = [0.1]", "seed must be a whole number"),
-        ("demonstrations = 3\n[axis]\ntheta_i = [0.1]", "demonstrations must be a file's path"),
-        ("demonstrations = 'no.npz'\n[axis]\ntheta_i = [0.1]", "there is no file"),
+        ("theta_i = 0.1\njump = ['own_tau']", "jump must be one of 'same_tau', 'own_tau'"),
+        (f"theta_i = 0.1\ntheta_tau = {'9' * 400}", r"theta_tau must be in"),
+        ("theta_i = 0.1\nseed = true", "seed must be a whole number"),
+        ("theta_i = 0.1\ndemonstrations = 3", "demonstrations must be a file's path"),
+        ("theta_i = 0.1\ndemonstrations = 'no.npz'", "there is no file"),
         ("[axis\n", "is not TOML"),
     ],
 )

@@ -5,12 +5,13 @@ until close, refine the orientation, turn the gripper back, and fetch the cube. 
 thresholds are drawn anew for each demonstration, as a person's would differ.
 """
 
-from collections.abc import Generator, Sequence
+from collections.abc import Generator
 
 import numpy as np
 
+from jaxreplay.plane.env import PlaneVectorEnv
+from jaxreplay.plane.options import seed_of
 from jaxreplay.plane.params import COMMAND_NAMES, SENSOR_NAMES, PlaneParams
-from jaxreplay.plane.world import Plane
 from jaxreplay.records import Records
 
 # Where cubes stand, m from the robot's start. The paper's figure shows 20 demonstrated and 5 test
@@ -35,14 +36,14 @@ Teacher = Generator[np.ndarray, np.ndarray, None]
 
 
 def teacher(params: PlaneParams, rng: np.random.Generator) -> Teacher:
-    """Yields commands `[5]` and is sent observations `[7]`."""
+    """Yields commands `[5]` and is sent observations `[7]`; speeds within are motor units."""
     offsets = np.asarray(params.proximeter_offsets)
     hand = np.array([params.high, 0.0, 0.0])  # elevation, tilt, magnet
     seen = np.zeros(7)
 
     def act(left: float, right: float) -> Teacher:
         nonlocal seen
-        seen = yield np.array([left, right, *hand])
+        seen = yield np.array([left * params.motor_unit, right * params.motor_unit, *hand])
 
     def wait(shortest: float, longest: float) -> Teacher:
         for _ in range(round(rng.uniform(shortest, longest) / params.control_period)):
@@ -54,8 +55,8 @@ def teacher(params: PlaneParams, rng: np.random.Generator) -> Teacher:
 
     def aside() -> float:
         """How far to the left the proximeters see the cube, m; 0 when they do not."""
-        near = seen[1:]
-        return float(offsets @ near / near.sum()) if near.max() > 0.1 else 0.0
+        near = np.expm1(100 * params.proximeter_range * seen[1:])  # as bright as it is near
+        return float(offsets @ near / near.sum()) if near.any() else 0.0
 
     def turn_until(error, tolerance: float, fast: int, slow_below: float) -> Teacher:
         """Turn to the left while the error is positive; done when it stayed small.
@@ -105,54 +106,37 @@ def teacher(params: PlaneParams, rng: np.random.Generator) -> Teacher:
     yield from wait(5, 9)
 
 
-def demonstrate(
-    params: PlaneParams, cube: Sequence[float], key: Sequence[int]
-) -> tuple[np.ndarray, np.ndarray, Plane]:
-    """One demonstration: observations (L, 7), commands (L, 5) and the plane at its end.
-
-    Args:
-        params: the constants.
-        cube: x, y (m) and angle (rad) of the cube.
-        key: seed, a sequence of non-negative integers.
-
-    Raises:
-        RuntimeError: the demonstration did not end within the time limit.
-    """
-    plane = Plane(params, np.array([cube]), [[*key, 0]])
-    commands, observations = [], []
-    acting = teacher(params, np.random.default_rng([*key, 1]))
-    command = next(acting)
-    for _ in range(params.max_steps):
-        observation = plane.step(command[None], np.array([True]))[0]
-        commands.append(command)
-        observations.append(observation)
-        try:
-            command = acting.send(observation)
-        except StopIteration:
-            return np.array(observations), np.array(commands), plane
-    raise RuntimeError(
-        f"the demonstration with the cube at {tuple(cube)} did not end in {params.time_limit} s"
-    )
-
-
 def record(params: PlaneParams, positions: np.ndarray, seed: int) -> tuple[Records, np.ndarray]:
-    """Demonstrate once at each position `[N, 2]`.
+    """Demonstrate once at each position `[N, 2]`, all side by side.
 
     Returns:
         The records, and their alignment errors `[N]` in m.
 
     Raises:
-        RuntimeError: a demonstration failed: a replay could learn nothing from it.
+        RuntimeError: a demonstration failed, or did not end within the time limit: a replay
+            could learn nothing from it.
     """
-    sensors, commands, errors = [], [], []
-    for i, cube in enumerate(facing(positions)):
-        observed, sent, plane = demonstrate(params, cube, (seed, i))
-        if not plane.lifted[0]:
-            raise RuntimeError(f"the demonstration with the cube at {tuple(cube)} did not fetch it")
-        sensors.append(observed)
-        commands.append(sent)
-        errors.append(plane.alignment_error[0])
+    n = len(positions)
+    worlds = PlaneVectorEnv(n, params)
+    seeds = [seed_of(seed, i) for i in range(n)]
+    worlds.reset(seed=seeds, options={"cube": facing(positions)})
+    teachers = [teacher(params, np.random.default_rng([s, 2])) for s in seeds]
+    commands = np.array([next(acting) for acting in teachers])
+    rows: list[list[tuple[np.ndarray, np.ndarray]]] = [[] for _ in range(n)]
+    while not worlds.resting.all():
+        going = np.flatnonzero(~worlds.resting)
+        observations, *_ = worlds.step(commands)
+        for i in going:
+            rows[i].append((observations[i], commands[i].copy()))
+            try:
+                commands[i] = teachers[i].send(observations[i].astype(float))
+            except StopIteration:
+                worlds.resting[i] = True
+    for i in np.flatnonzero(~worlds.lifted):
+        x, y = positions[i]
+        raise RuntimeError(f"the demonstration with the cube at ({x:.3f}, {y:.3f}) m failed")
+    sensors, sent = zip(*(map(np.array, zip(*row, strict=True)) for row in rows), strict=True)
     records = Records.from_sequences(
-        sensors, commands, SENSOR_NAMES, COMMAND_NAMES, params.control_period
+        sensors, sent, SENSOR_NAMES, COMMAND_NAMES, params.control_period
     )
-    return records, np.array(errors)
+    return records, worlds.alignment_error.copy()

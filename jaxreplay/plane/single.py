@@ -1,0 +1,54 @@
+"""The plane as a single Gymnasium environment."""
+
+from typing import Any
+
+import gymnasium
+import numpy as np
+
+from jaxreplay.plane.env import METADATA, PlaneVectorEnv
+from jaxreplay.plane.params import PlaneParams
+
+
+class PlaneEnv(gymnasium.Env):
+    """One robot with a cube to fetch; all as in :class:`PlaneVectorEnv`, without the B."""
+
+    metadata = METADATA
+
+    def __init__(self, params: PlaneParams | None = None, render_mode: str | None = None):
+        """A slot; `reset` puts a world into it."""
+        self._worlds = PlaneVectorEnv(1, params, render_mode)
+        self.render_mode = render_mode
+        self.observation_space = self._worlds.single_observation_space
+        self.action_space = self._worlds.single_action_space
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[np.ndarray, dict[str, Any]]:
+        """Restart; options as in :class:`PlaneVectorEnv`, each one value."""
+        super().reset(seed=seed)
+        seed = int(self.np_random.integers(2**63)) if seed is None else seed
+        told = {name: np.asarray(value)[None] for name, value in (options or {}).items()}
+        observation, info = self._worlds.reset(seed=[seed], options=told)
+        return observation[0], _single(info)
+
+    def step(self, action: np.ndarray) -> tuple:
+        """One control step."""
+        observation, reward, terminated, truncated, info = self._worlds.step(
+            np.asarray(action)[None]
+        )
+        return (
+            observation[0], float(reward[0]), bool(terminated[0]), bool(truncated[0]),
+            _single(info),
+        )  # fmt: skip
+
+    def render(self) -> np.ndarray | None:
+        """A picture from above, `[H, W, 3]` of bytes; None without a render mode."""
+        return None if self.render_mode is None else self._worlds.render()[0]
+
+
+def _single(info: dict[str, Any]) -> dict[str, Any]:
+    return {
+        name: value[0].item()
+        for name, value in info.items()
+        if not name.startswith("_") and info[f"_{name}"][0]
+    }

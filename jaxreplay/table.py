@@ -1,0 +1,70 @@
+"""A study in words: how the runs of each cell ended, and how well and how fast."""
+
+from collections.abc import Iterator
+
+import numpy as np
+import xarray as xr
+
+from jaxreplay.config import FACTORS
+from jaxreplay.study import OUTCOMES, STALLS
+
+
+def cells(dataset: xr.Dataset, axes: list[str]) -> Iterator[tuple[dict, xr.Dataset]]:
+    """Each combination of the values of some axes, with the runs that share it."""
+    sizes = [dataset.sizes[axis] for axis in axes]
+    for index in np.ndindex(*sizes):
+        runs = dataset.isel(dict(zip(axes, index, strict=True)))
+        yield {axis: dataset[axis].values[k] for axis, k in zip(axes, index, strict=True)}, runs
+
+
+def axes_of(dataset: xr.Dataset) -> list[str]:
+    """The factors that a study varies."""
+    return [name for name in dataset.outcome.dims if name in FACTORS]
+
+
+def table(dataset: xr.Dataset) -> str:
+    """A row for each cell of the study."""
+    axes = axes_of(dataset)
+    widths = {axis: max(11, len(FACTORS[axis].symbol + units(axis)) + 2) for axis in axes}
+    lines = [
+        "".join((FACTORS[axis].symbol + units(axis)).rjust(widths[axis]) for axis in axes)
+        + "".join(f"{name:>5}" for name in OUTCOMES)
+        + "".join(f"{name:>8}" for name in STALLS)
+        + f"{'error of S, mm':>18}{'duration of S, s':>20}"
+    ]
+    for values, runs in cells(dataset, axes):
+        outcome, stall = runs.outcome.values, runs.stall.values
+        row = "".join(short(value).rjust(widths[axis]) for axis, value in values.items())
+        row += "".join(f"{np.sum(outcome == o):5d}" for o in OUTCOMES)
+        row += "".join(f"{np.sum(stall == s):8d}" for s in STALLS)
+        for name, width in (("alignment_error", 18), ("duration", 20)):
+            row += mean_and_error(runs[name].values[outcome == "S"]).rjust(width)
+        lines.append(row)
+    return "\n".join([*lines, "", "fixed, cyclic, slow: the Fs. ±: standard error of the mean."])
+
+
+def short(value) -> str:
+    """A factor's value in a few characters."""
+    if str(value) in ("True", "False"):  # netCDF knows no booleans
+        return "on" if str(value) == "True" else "off"
+    return str(value) if isinstance(value, str) else f"{value:.3g}"
+
+
+def units(axis: str) -> str:
+    """What follows a factor's value, or nothing."""
+    unit = FACTORS[axis].units
+    return f" {unit}" if unit not in ("", "1") else ""
+
+
+def mean_and_error(values: np.ndarray) -> str:
+    """`mean ± standard error`, as far as there are values."""
+    if len(values) == 0:
+        return "–"
+    if len(values) == 1:
+        return f"{values[0]:.2f}"
+    return f"{values.mean():.2f} ± {standard_error(values):.2f}"
+
+
+def standard_error(values: np.ndarray) -> float:
+    """Of the mean; NaN for fewer than two values."""
+    return values.std(ddof=1) / len(values) ** 0.5 if len(values) > 1 else np.nan
