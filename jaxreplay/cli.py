@@ -12,17 +12,15 @@ from tqdm import tqdm
 
 from jaxreplay.config import ConfigError, load_config
 from jaxreplay.figures import figure_3
-from jaxreplay.replay import Replays
 from jaxreplay.study import (
-    DATASET,
     OUTCOMES,
     STALLS,
     config_of,
     demonstrations,
     open_study,
-    outcomes,
     run_study,
     runs_of,
+    shards_of,
 )
 from jaxreplay.table import table
 
@@ -39,7 +37,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     run = commands.add_parser(
         "run",
         help="run a study and draw its figure",
-        description="Run the study a TOML file describes, print its table and draw its figure.",
+        description="Run the study a TOML file describes, print its table and draw its figure. "
+        "Given again after it was stopped, it goes on.",
     )
     run.add_argument("file", type=Path, metavar="FILE", help="e.g. experiments/theta_i.toml")
     run.add_argument(
@@ -48,7 +47,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
         metavar="DIR",
         help="for demonstrations, dataset and figure (default: results/ and FILE's name)",
     )
+    run.add_argument("--dry-run", action="store_true", help="only tell how many runs it is")
     run.set_defaults(action=_run)
+    for name, action, what in (
+        ("show", _show, "print the table of a study"),
+        ("plot", _plot, "draw the figure of a study"),
+    ):
+        command = commands.add_parser(name, help=what, description=f"{what.capitalize()}.")
+        command.add_argument("folder", type=Path, metavar="DIR", help="what run was given as --out")
+        command.set_defaults(action=action)
     watch = commands.add_parser(
         "watch",
         help="write an animation of one run",
@@ -96,13 +103,50 @@ def _run(options: argparse.Namespace) -> int:
     folder = options.out or Path("results") / options.file.stem
     if folder.exists() and not folder.is_dir():
         raise ConfigError(f"--out {folder} is a file; give a folder")
-    print(f"{folder}: {len(runs_of(config))} runs", file=sys.stderr)
-    dataset = run_study(config, folder, _Progress())
+    runs = runs_of(config)
+    shards = len(shards_of(runs))
+    print(f"{folder}: {len(runs)} runs in {shards} shard{'s' * (shards > 1)}", file=sys.stderr)
+    if options.dry_run:
+        return DONE
+    try:
+        dataset = run_study(config, folder, _Progress(len(runs)))
+    except KeyboardInterrupt:
+        print(
+            "\njaxreplay: interrupted; finished shards are kept, the same command goes on",
+            file=sys.stderr,
+        )
+        return INTERRUPTED
+    _draw(dataset, folder)
+    print(table(dataset))
+    print(f"{folder}: the study, figure_3.png and figure_3.pdf")
+    return DONE
+
+
+def _show(options: argparse.Namespace) -> int:
+    print(table(_opened(options.folder)))
+    return DONE
+
+
+def _plot(options: argparse.Namespace) -> int:
+    _draw(_opened(options.folder), options.folder)
+    print(f"{options.folder}: figure_3.png and figure_3.pdf")
+    return DONE
+
+
+def _opened(folder: Path) -> xr.Dataset:
+    try:
+        dataset = open_study(folder)
+    except ValueError as error:
+        raise ConfigError(str(error)) from None
+    missing = int((dataset.outcome == "").sum())
+    if missing:
+        print(f"{folder}: {missing} of {dataset.outcome.size} runs are missing", file=sys.stderr)
+    return dataset
+
+
+def _draw(dataset: xr.Dataset, folder: Path):
     for suffix in ("png", "pdf"):
         figure_3(dataset, folder / f"figure_3.{suffix}")
-    print(table(dataset))
-    print(f"{folder / DATASET}, figure_3.png and figure_3.pdf beside it")
-    return DONE
 
 
 def _speed(text: str) -> float:
@@ -116,10 +160,7 @@ def _watch(options: argparse.Namespace) -> int:
     from jaxreplay.watch import animate_run
 
     if options.study.is_dir():
-        try:
-            folder, dataset = options.study, open_study(options.study)
-        except ValueError as error:
-            raise ConfigError(str(error)) from None
+        folder, dataset = options.study, _opened(options.study)
         config = config_of(dataset)
     else:
         folder, dataset = Path("results") / options.study.stem, None
@@ -158,27 +199,24 @@ def _chosen(run: str, total: int, dataset: xr.Dataset | None) -> int:
 
 
 class _Progress:
-    """A line for each reading of a jump: kept up to date on a terminal, else told at its end."""
+    """A line kept up to date on a terminal; else one whenever a tenth more of the runs is done."""
 
-    def __init__(self):
-        self._bars: dict[str, tqdm] = {}
+    def __init__(self, total: int):
+        self._total, self._told = total, 0
+        self._bar = tqdm(
+            total=total,
+            bar_format="{n} of {total} runs [{elapsed}<{remaining}]{postfix}",
+            disable=None,
+        )
 
-    def __call__(self, jump: str, so_far: Replays):
-        total = len(so_far.ending)
-        if jump not in self._bars:
-            self._bars[jump] = tqdm(
-                total=total,
-                bar_format="{desc}: {n} of {total} runs [{elapsed}<{remaining}]{postfix}",
-                desc=jump,
-                disable=None,
-            )
-        bar = self._bars[jump]
-        outcome = outcomes(so_far)
+    def __call__(self, outcome: np.ndarray):
+        done = int(np.sum(outcome != ""))
         counts = ", ".join(f"{name} {np.sum(outcome == name)}" for name in OUTCOMES)
-        bar.n = int(np.sum(outcome != ""))
-        bar.set_postfix_str(counts, refresh=False)
-        bar.update(0)
-        if bar.n == total:
-            bar.close()
-            if bar.disable:
-                print(f"{jump}: {total} runs, {counts}", file=sys.stderr)
+        self._bar.n = done
+        self._bar.set_postfix_str(counts, refresh=False)
+        self._bar.update(0)
+        if self._bar.disable and 10 * done // self._total > self._told:
+            self._told = 10 * done // self._total
+            print(f"{done} of {self._total} runs: {counts}", file=sys.stderr)
+        if done == self._total:
+            self._bar.close()

@@ -79,7 +79,7 @@ def _outcomes(axes: plt.Axes, runs: xr.Dataset, along: str):
     total = sum(counts.values())
     bottom = np.zeros(len(total))
     for outcome, count in counts.items():
-        share = 100 * count / total
+        share = 100 * count / np.maximum(total, 1)  # a cell may have no run yet
         axes.bar(
             range(len(total)), share, 0.75, bottom,
             label=f"{outcome}: {MEANINGS[outcome]}",

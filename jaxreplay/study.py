@@ -1,8 +1,7 @@
-"""A study: a config turned into runs, and the runs into one labelled dataset on disk."""
+"""A study: a config turned into runs, and the runs into one labelled dataset."""
 
 import hashlib
 import json
-import os
 from collections.abc import Callable
 from dataclasses import asdict
 from importlib.metadata import version
@@ -20,11 +19,12 @@ from jaxreplay.plane.env import PlaneVectorEnv
 from jaxreplay.plane.params import COMMAND_NAMES, SENSOR_NAMES, SENSOR_RANGES, PlaneParams
 from jaxreplay.records import Records
 from jaxreplay.replay import Replays, replay
+from jaxreplay.store import claimed, manifest_of, read_manifest, read_shard, write_shard
 
-DATASET = "study.nc"
 OUTCOMES = ("S", "Fs", "Fg", "Fb")  # as in figure 3
 STALLS = ("fixed", "cyclic", "slow")
 SLOTS = 112  # worlds that advance together
+SHARD = 224  # runs that are kept together once all are finished
 
 
 def demonstrations(config: StudyConfig, folder: Path) -> Records:
@@ -132,78 +132,73 @@ def outcomes(replays: Replays) -> np.ndarray:
     return np.select(ways, ["Fb", completed, "Fs"], "")
 
 
+def shards_of(runs: Runs) -> list[np.ndarray]:
+    """The runs, as indices, cut into shards that share a reading of a jump."""
+    jumps = runs.values["jump"]
+    alike = [np.flatnonzero(jumps == jump) for jump in dict.fromkeys(jumps)]
+    return [part[i : i + SHARD] for part in alike for i in range(0, len(part), SHARD)]
+
+
 def run_study(
     config: StudyConfig,
     folder: str | Path,
-    progress: Callable[[str, Replays], None] = lambda jump, so_far: None,
+    progress: Callable[[np.ndarray], None] = lambda outcome: None,
 ) -> xr.Dataset:
-    """Run all of a study, one batch per reading of a jump, and write it to a folder.
+    """Run what a folder does not hold yet of a study, shard by shard.
 
     Args:
         config: the study.
         folder: made if absent; what else lies in it is left alone.
-        progress: called after each control step of a batch with the reading and its replays.
+        progress: called after each control step with the outcome of every run of the study,
+            empty for those to come.
 
     Returns:
         What :func:`open_study` gives.
 
     Raises:
-        ConfigError: the demonstrations named by the config do not fit.
-        OSError: the folder cannot be written.
+        ConfigError: the demonstrations named by the config do not fit; the folder holds
+            another study; another process is at work in it.
+        OSError: the folder cannot be written. What was finished before is kept.
     """
     folder = Path(folder)
     records = demonstrations(config, folder)
-    folder.mkdir(parents=True, exist_ok=True)
+    manifest = manifest_of(config, records, SHARD)
     runs = runs_of(config)
-    n = len(runs)
-    results = {name: np.zeros(n) for name in ("alignment_error", "duration", "log_evidence")}
-    results |= {"outcome": np.full(n, "", "<U2"), "stall": np.full(n, "", "<U6")}
-    widened = 0
-    for jump in dict.fromkeys(runs.values["jump"]):
-        which = np.flatnonzero(runs.values["jump"] == jump)
-        params, seeds, options = setting(config, runs.of(which))
-        env = PlaneVectorEnv(min(SLOTS, len(which)))
-        replays = replay(
-            records, params, env, str(jump), seeds, options,
-            lambda so_far, jump=jump: progress(str(jump), so_far),
-        )  # fmt: skip
-        outcome = outcomes(replays)
-        error = np.where(outcome == "S", 1e3 * replays.info["alignment_error"], np.nan)
-        for name, values in (
-            ("outcome", outcome),
-            ("stall", replays.info["stall"]),
-            ("alignment_error", error),
-            ("duration", replays.steps * env.params.control_period),
-            ("log_evidence", replays.log_evidence),
-        ):
-            results[name][which] = values
-        widened += int(replays.widened[0])
+    outcome = np.full(len(runs), "", "<U2")
+    with claimed(folder, manifest):
+        todo = []
+        for k, which in enumerate(shards_of(runs)):
+            held = read_shard(folder, k, manifest)
+            if held is None:
+                todo.append((k, which))
+            else:
+                outcome[which] = held.outcome.values.astype("<U2")
+        for k, which in todo:
 
-    dims = (*config.axes, "position", "repeat")
-    shape = (*map(len, config.axes.values()), len(TESTED), config.repeats)
-    dataset = xr.Dataset(
-        {name: (dims, results[name].reshape(shape), about) for name, about in _ABOUT.items()},
-        coords={
-            name: (name, [str(v) if isinstance(v, bool) else v for v in values], _about(name))
-            for name, values in config.axes.items()
-        }
-        | {
-            "position": np.arange(len(TESTED)),
-            "repeat": np.arange(config.repeats),
-            "cube_x": ("position", TESTED[:, 0], {"units": "m", "long_name": "cube, ahead"}),
-            "cube_y": ("position", TESTED[:, 1], {"units": "m", "long_name": "cube, to the left"}),
-        },
-        attrs={
-            "config": json.dumps(asdict(config), default=str),
-            "plane": json.dumps(asdict(PlaneParams())),
-            "jaxreplay": version("jaxreplay"),
-            "widened": widened,
-        },
-    )
-    part = folder / f"{DATASET}.part"
-    dataset.to_netcdf(part, engine="scipy")
-    os.replace(part, folder / DATASET)
-    return dataset
+            def tell(so_far: Replays, which=which):
+                outcome[which] = outcomes(so_far)
+                progress(outcome)
+
+            write_shard(folder, k, manifest, _run(config, records, runs.of(which), tell))
+    return open_study(folder)
+
+
+def _run(
+    config: StudyConfig, records: Records, runs: Runs, progress: Callable[[Replays], None]
+) -> xr.Dataset:
+    params, seeds, options = setting(config, runs)
+    env = PlaneVectorEnv(min(SLOTS, len(runs)))
+    jump = str(runs.values["jump"][0])
+    replays = replay(records, params, env, jump, seeds, options, progress)
+    outcome = outcomes(replays)
+    results = {
+        "outcome": outcome,
+        "stall": replays.info["stall"],
+        "alignment_error": np.where(outcome == "S", 1e3 * replays.info["alignment_error"], np.nan),
+        "duration": replays.steps * env.params.control_period,
+        "log_evidence": replays.log_evidence,
+    }
+    return xr.Dataset({name: ("run", values) for name, values in results.items()})
 
 
 _ABOUT = {
@@ -213,6 +208,7 @@ _ABOUT = {
     "duration": {"units": "s", "long_name": "run duration"},
     "log_evidence": {"units": "1", "long_name": "log p(Z_1:t) of the run"},
 }
+_TEXT = {"outcome": "<U2", "stall": "<U6"}
 
 
 def _about(name: str) -> dict[str, str]:
@@ -222,35 +218,50 @@ def _about(name: str) -> dict[str, str]:
 
 def config_of(dataset: xr.Dataset) -> StudyConfig:
     """The config that a dataset came from."""
-    held = json.loads(dataset.attrs["config"])
+    return _config(json.loads(dataset.attrs["manifest"]))
+
+
+def _config(manifest: dict) -> StudyConfig:
+    held = dict(manifest["config"])
     held["axes"] = {name: tuple(values) for name, values in held["axes"].items()}
     path = held["demonstrations"]
-    return StudyConfig(**held | {"demonstrations": path and Path(path)})
+    return StudyConfig(**held | {"demonstrations": Path(path) if path else None})
 
 
 def open_study(folder: str | Path) -> xr.Dataset:
-    """The dataset of a study, wholly read; `folder` may also be the file itself.
+    """The dataset of a study, wholly read, as far as it is finished.
 
     Returns:
         Variables `outcome` (S, Fs, Fg or Fb), `stall` (fixed, cyclic or slow for an Fs),
         `alignment_error` (mm, NaN unless S), `duration` (s) and `log_evidence` over the axes of
-        the study, `position` and `repeat`.
+        the study, `position` and `repeat`. Runs that are missing have an empty outcome and NaN.
 
     Raises:
         FileNotFoundError: there is no study in the folder.
-        ValueError: its file is truncated, or not one of a study.
+        ValueError: its manifest is truncated, or not one of a study.
     """
-    path = Path(folder)
-    path = path if path.is_file() else path / DATASET
-    if not path.is_file():
-        raise FileNotFoundError(
-            f"no study in {folder}: {path.name} is missing; jaxreplay run makes it"
-        )
-    try:
-        with xr.open_dataset(path, engine="scipy") as dataset:
-            dataset = dataset.load()
-        for name, width in (("outcome", 2), ("stall", 6)):
-            dataset[name] = dataset[name].astype(f"<U{width}")
-        return dataset
-    except (OSError, ValueError, TypeError, KeyError, AttributeError, IndexError) as error:
-        raise ValueError(f"{path} does not hold a study (truncated?): {error}") from error
+    folder = Path(folder)
+    manifest = read_manifest(folder)
+    config = _config(manifest)
+    runs = runs_of(config)
+    results = {
+        name: np.full(len(runs), "" if name in _TEXT else np.nan, _TEXT.get(name, float))
+        for name in _ABOUT
+    }
+    for k, which in enumerate(shards_of(runs)):
+        held = read_shard(folder, k, manifest)
+        for name in _ABOUT if held is not None else ():
+            results[name][which] = held[name].values.astype(results[name].dtype)
+    dims = (*config.axes, "position", "repeat")
+    shape = (*map(len, config.axes.values()), len(TESTED), config.repeats)
+    return xr.Dataset(
+        {name: (dims, results[name].reshape(shape), about) for name, about in _ABOUT.items()},
+        coords={name: (name, list(values), _about(name)) for name, values in config.axes.items()}
+        | {
+            "position": np.arange(len(TESTED)),
+            "repeat": np.arange(config.repeats),
+            "cube_x": ("position", TESTED[:, 0], {"units": "m", "long_name": "cube, ahead"}),
+            "cube_y": ("position", TESTED[:, 1], {"units": "m", "long_name": "cube, to the left"}),
+        },
+        attrs={"manifest": json.dumps(manifest)},
+    )

@@ -79,7 +79,7 @@ def test_an_animation_and_a_still(run, tmp_path):
         (["{config}", "--run", "Fx"], "give a run's number, or one of S, Fs, Fg, Fb, fixed"),
         (["{config}", "--run", "S"], "how runs ended is known once they are run"),
         (["{config}", "--out", "run.mp4"], r"let its name end in \.gif, or in \.png"),
-        (["{folder}"], r"study\.nc is missing"),
+        (["{folder}"], r"study\.json is missing"),
     ],
 )
 def test_a_mistake_is_one_line_and_status_2(tmp_path, monkeypatch, capsys, arguments, message):
