@@ -30,6 +30,7 @@ class Replays(NamedTuple):
         info: what the environment told at each replay's last step, `[n]` for each name; NaN or
             empty where it told nothing.
         widened: `[1]` how often a step was done again in a wider window.
+        observations: of each replay that was asked for, a list of its `[n_s]` Z_t.
     """
 
     ending: np.ndarray
@@ -38,6 +39,7 @@ class Replays(NamedTuple):
     log_evidence: np.ndarray
     info: dict[str, np.ndarray]
     widened: np.ndarray
+    observations: dict[int, list[np.ndarray]]
 
 
 def replay(
@@ -47,6 +49,7 @@ def replay(
     jump: str,
     seeds: Sequence[int],
     options: Mapping[str, np.ndarray] | None = None,
+    keep: Sequence[int] = (),
     progress: Callable[[Replays], None] = lambda so_far: None,
 ) -> Replays:
     """Replay the records n times in the B slots of an environment.
@@ -64,6 +67,7 @@ def replay(
         seeds: n seeds, one a replay.
         options: for the environment's reset, `[n, …]` for each name; it is given those of its
             slots, `[B, …]`. (Gymnasium's own SyncVectorEnv hands all of it to each world.)
+        keep: replays whose observations are wanted.
         progress: called after every control step.
 
     Raises:
@@ -73,12 +77,13 @@ def replay(
     n, slots = len(seeds), env.num_envs
     options = options or {}
     done = Replays(
-        np.full(n, "", dtype="<U10"),
-        np.zeros(n, int),
-        np.zeros(n),
-        np.zeros(n),
-        {},
-        np.zeros(1, int),
+        ending=np.full(n, "", dtype="<U10"),
+        steps=np.zeros(n, int),
+        reward=np.zeros(n),
+        log_evidence=np.zeros(n),
+        info={},
+        widened=np.zeros(1, int),
+        observations={k: [] for k in keep},
     )
     # Chunks of one size, so that one program serves all; the last is filled up with lanes that
     # never go on.
@@ -121,6 +126,9 @@ def replay(
             )
             list(threads.map(advance, chunks, parts))
 
+            for b in np.flatnonzero(going[:slots]):
+                if run[b] in done.observations:
+                    done.observations[run[b]].append(z[b].copy())
             now, busy = run[:slots][going[:slots]], going[:slots].copy()
             done.steps[now] += 1
             done.reward[now] += reward[busy]

@@ -9,9 +9,11 @@ from itertools import product
 from pathlib import Path
 from typing import NamedTuple
 
+import jax
 import numpy as np
 import xarray as xr
 
+from jaxreplay.audit import audit
 from jaxreplay.config import FACTORS, ConfigError, StudyConfig
 from jaxreplay.params import Params
 from jaxreplay.plane.demonstrator import DEMONSTRATED, TESTED, facing, record
@@ -24,6 +26,7 @@ from jaxreplay.store import claimed, manifest_of, read_manifest, read_shard, wri
 OUTCOMES = ("S", "Fs", "Fg", "Fb")  # as in figure 3
 STALLS = ("fixed", "cyclic", "slow")
 SLOTS = 112  # worlds that advance together
+AUDITED = 50  # one run in so many is filtered again without windows, and compared
 SHARD = 224  # runs that are kept together once all are finished
 
 
@@ -189,7 +192,8 @@ def _run(
     params, seeds, options = setting(config, runs)
     env = PlaneVectorEnv(min(SLOTS, len(runs)))
     jump = str(runs.values["jump"][0])
-    replays = replay(records, params, env, jump, seeds, options, progress)
+    audited = range(0, len(runs), AUDITED)
+    replays = replay(records, params, env, jump, seeds, options, audited, progress)
     outcome = outcomes(replays)
     results = {
         "outcome": outcome,
@@ -197,7 +201,13 @@ def _run(
         "alignment_error": np.where(outcome == "S", 1e3 * replays.info["alignment_error"], np.nan),
         "duration": replays.steps * env.params.control_period,
         "log_evidence": replays.log_evidence,
+        "total_variation": np.full(len(runs), np.nan),
+        "command_error": np.full(len(runs), np.nan),
     }
+    for k, seen in replays.observations.items():
+        one = jax.tree.map(lambda x, k=k: x[k], params)
+        found = audit(records, one, jump, np.array(seen))
+        results["total_variation"][k], results["command_error"][k] = found
     return xr.Dataset({name: ("run", values) for name, values in results.items()})
 
 
@@ -207,6 +217,8 @@ _ABOUT = {
     "alignment_error": {"units": "mm", "long_name": "alignment error"},
     "duration": {"units": "s", "long_name": "run duration"},
     "log_evidence": {"units": "1", "long_name": "log p(Z_1:t) of the run"},
+    "total_variation": {"units": "1", "long_name": "largest error of the belief, by windows"},
+    "command_error": {"units": "1", "long_name": "… of a command, as a share of its range"},
 }
 _TEXT = {"outcome": "<U2", "stall": "<U6"}
 
@@ -233,8 +245,10 @@ def open_study(folder: str | Path) -> xr.Dataset:
 
     Returns:
         Variables `outcome` (S, Fs, Fg or Fb), `stall` (fixed, cyclic or slow for an Fs),
-        `alignment_error` (mm, NaN unless S), `duration` (s) and `log_evidence` over the axes of
-        the study, `position` and `repeat`. Runs that are missing have an empty outcome and NaN.
+        `alignment_error` (mm, NaN unless S), `duration` (s), `log_evidence`, and, of one run in
+        `AUDITED`, `total_variation` and `command_error` (see :mod:`jaxreplay.audit`), over the
+        axes of the study, `position` and `repeat`. Runs that are missing have an empty outcome
+        and NaN.
 
     Raises:
         FileNotFoundError: there is no study in the folder.
