@@ -7,7 +7,7 @@ what it had finished is kept.
 import hashlib
 import json
 import os
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
 from importlib.metadata import version
@@ -105,13 +105,15 @@ def read_manifest(folder: Path) -> dict[str, Any]:
     raise ValueError(f"{path} is not the manifest of a study (truncated?)")
 
 
-def read_shard(folder: Path, k: int, manifest: dict[str, Any]) -> xr.Dataset | None:
-    """A finished shard, None if there is none, it is torn or belongs to another study."""
+def read_shard(
+    folder: Path, k: int, manifest: dict[str, Any], names: Iterable[str]
+) -> xr.Dataset | None:
+    """A finished shard of variables; None if there is none, or it is torn or of another study."""
     path = _path(folder, k)
     try:
         with xr.open_dataset(path, engine="scipy") as dataset:
             dataset = dataset.load()
-        return dataset if dataset.attrs["study"] == manifest["hash"] else None
+        return dataset[list(names)] if dataset.attrs["study"] == manifest["hash"] else None
     except (OSError, ValueError, TypeError, KeyError, AttributeError, IndexError):
         return None
 

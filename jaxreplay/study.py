@@ -171,7 +171,7 @@ def run_study(
     with claimed(folder, manifest):
         todo = []
         for k, which in enumerate(shards_of(runs)):
-            held = read_shard(folder, k, manifest)
+            held = read_shard(folder, k, manifest, _ABOUT)
             if held is None:
                 todo.append((k, which))
             else:
@@ -263,7 +263,7 @@ def open_study(folder: str | Path) -> xr.Dataset:
         for name in _ABOUT
     }
     for k, which in enumerate(shards_of(runs)):
-        held = read_shard(folder, k, manifest)
+        held = read_shard(folder, k, manifest, _ABOUT)
         for name in _ABOUT if held is not None else ():
             results[name][which] = held[name].values.astype(results[name].dtype)
     dims = (*config.axes, "position", "repeat")

@@ -73,7 +73,9 @@ def test_only_what_is_missing_is_run_and_comes_to_the_same_bytes(finished, tmp_p
     xr.testing.assert_identical(open_study(again), open_study(folder))
 
 
-@pytest.mark.parametrize("damage", ["cut", "emptied", "garbage", "of another study"])
+@pytest.mark.parametrize(
+    "damage", ["cut", "emptied", "garbage", "of another study", "of another kind"]
+)
 def test_a_shard_that_is_torn_or_foreign_is_set_aside_and_run_again(
     finished, tmp_path, monkeypatch, damage
 ):
@@ -81,9 +83,13 @@ def test_a_shard_that_is_torn_or_foreign_is_set_aside_and_run_again(
     again, computed = copy_of(folder, tmp_path), counted(monkeypatch)
     path = again / "shards" / "00001.nc"
     whole = path.read_bytes()
-    spoilt = {"cut": whole[:-100], "emptied": b"", "garbage": b"CDF\x01 not much"}.get(
-        damage, whole.replace(read_manifest(again)["hash"].encode(), 64 * b"0")
-    )
+    spoilt = {
+        "cut": whole[:-100],
+        "emptied": b"",
+        "garbage": b"CDF\x01 not much",
+        "of another study": whole.replace(read_manifest(again)["hash"].encode(), 64 * b"0"),
+        "of another kind": whole.replace(b"duration", b"gradient"),
+    }[damage]
     path.write_bytes(spoilt)
     assert (open_study(again).outcome == "").sum() == 2
     study.run_study(load_config(config), again)
@@ -149,7 +155,7 @@ def test_a_full_disk_is_told_and_leaves_no_half_file(finished, tmp_path, monkeyp
     config, folder = finished
     again = copy_of(folder, tmp_path)
     manifest = read_manifest(again)
-    dataset = read_shard(again, 1, manifest)
+    dataset = read_shard(again, 1, manifest, study._ABOUT)
     (again / "shards" / "00001.nc").unlink()
     monkeypatch.setattr(study, "_run", lambda *args: dataset)
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)
