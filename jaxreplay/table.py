@@ -56,8 +56,8 @@ def _audited(dataset: xr.Dataset) -> str:
 
 def short(value) -> str:
     """A factor's value in a few characters."""
-    if str(value) in ("True", "False"):  # netCDF knows no booleans
-        return "on" if str(value) == "True" else "off"
+    if isinstance(value, bool | np.bool_):
+        return "on" if value else "off"
     return str(value) if isinstance(value, str) else f"{value:.3g}"
 
 
