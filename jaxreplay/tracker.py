@@ -15,7 +15,7 @@ from jaxreplay.window import NOTHING, resize
 
 WINDOWS = (256, 512, None)  # moments of each record held; None is all
 NARROW_EVERY = 16  # steps
-DROPPABLE = -1000  # bits of the likeliest hypothesis that a step may drop at its window's edges
+DROPPABLE = -6000  # bits of the likeliest hypothesis that a step may drop at its window's edges
 
 
 class _Steps(NamedTuple):
