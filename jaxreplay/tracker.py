@@ -18,7 +18,7 @@ NARROW_EVERY = 16  # steps
 DROPPABLE = -6000  # bits of the likeliest hypothesis that a step may drop at its window's edges
 
 
-class _Steps(NamedTuple):
+class Steps(NamedTuple):
     """The filter's side of a control step, for a chunk of replays."""
 
     begin: Callable  # (records, params) → belief, command
@@ -26,7 +26,8 @@ class _Steps(NamedTuple):
 
 
 @cache
-def _steps(jump: str, window: int | None) -> _Steps:
+def steps(jump: str, window: int | None) -> Steps:
+    """The filter's steps, compiled for windows of one width."""
     filter = build_filter(jump, window)
 
     def predict(records: Records, params: Params, belief: Belief):
@@ -53,7 +54,7 @@ def _steps(jump: str, window: int | None) -> _Steps:
             params, belief, z, going,
         ))  # fmt: skip
 
-    return _Steps(jax.jit(begin), jax.jit(advance))
+    return Steps(jax.jit(begin), jax.jit(advance))
 
 
 class Tracker:
@@ -116,7 +117,7 @@ class Tracker:
             if not now.any():
                 continue
             before = self._beliefs[k]
-            belief, *results = _steps(self.jump, width).advance(
+            belief, *results = steps(self.jump, width).advance(
                 self.records, self.params, before, z, now
             )
             lossy = now & (width is not None) & (np.asarray(belief.dropped) > DROPPABLE)
@@ -146,7 +147,7 @@ class Tracker:
         self.widened = 0
 
     def _begin(self) -> tuple[Belief, jax.Array]:
-        return _steps(self.jump, WINDOWS[0]).begin(self.records, self.params)
+        return steps(self.jump, WINDOWS[0]).begin(self.records, self.params)
 
     def _narrow(self, which: np.ndarray):
         for k in range(1, len(WINDOWS)):
