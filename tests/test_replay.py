@@ -237,10 +237,11 @@ def test_every_replay_is_carried_out_once_with_its_own_seed_and_options(slots):
     seeds = [100 + k for k in range(n)]
     told = []
     result = replay(
-        records, params(n, sigma=[1, 1]), env, "same_tau", seeds, {"steps": steps},
+        records, params(n, sigma=[1, 1]), env, "same_tau", seeds, {"steps": steps}, [2, 5],
         lambda so_far: told.append(np.sum(so_far.ending != "")),
     )  # fmt: skip
     assert sorted(env.started) == seeds
+    assert {k: len(seen) for k, seen in result.observations.items()} == {2: steps[2], 5: steps[5]}
     np.testing.assert_array_equal(result.steps, steps)
     np.testing.assert_array_equal(result.reward, steps / 2)
     np.testing.assert_array_equal(result.info["who"], seeds)
