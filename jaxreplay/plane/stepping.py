@@ -1,7 +1,7 @@
 """A control step of one world, by pymunk's public calls or straight by its C functions.
 
 The second does the same calls without pymunk's Python around each, and the whole plane steps
-1.4 times as fast for it (experiments/benchmarks/plane_step.py). Those functions are private to
+1.3 times as fast for it (experiments/benchmarks/plane_step.py). Those functions are private to
 pymunk: where they are not found, the public ones do.
 """
 
