@@ -9,6 +9,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxreplay.filter import PREDICTIONS
+from jaxreplay.plane.options import SETTINGS
+from jaxreplay.plane.params import PlaneParams
 
 
 class ConfigError(ValueError):
@@ -38,15 +40,32 @@ class Factor(NamedTuple):
         return self.units != ""
 
 
+_PLANE = PlaneParams()
 FACTORS = {
     "theta_i": Factor(None, (0, 1), "θ_I", "1", "probability to jump to another record"),
     "theta_tau": Factor(0.05, (0, 0.5), "θ_τ", "1", "probability to stay, and to skip"),
     "sigma": Factor(0.1, (1e-6, 1e6), "σ", "1", "σ of every sensor, as a share of its range"),
     "jump": Factor("same_tau", tuple(PREDICTIONS), "jump", "", "reading of a jump"),
-    "dithering": Factor(False, (False, True), "dithering", "", "temporal dithering of the tracks"),
-    "motor_unit": Factor(0.005, (1e-6, 0.3), "motor unit", "m/s", "what track speeds round to"),
-    "battery": Factor(1.0, (0.05, 1.5), "battery", "1", "voltage, as a share of a full battery's"),
-    "sensor_noise": Factor(1.0, (0, 100), "sensor noise", "1", "factor on the sensors' noise"),
+    "dithering": Factor(
+        _PLANE.dithering, (False, True), "dithering", "", "temporal dithering of the tracks"
+    ),
+    "motor_unit": Factor(
+        _PLANE.motor_unit, SETTINGS["motor_unit"], "motor unit", "m/s", "what track speeds round to"
+    ),
+    "battery": Factor(
+        _PLANE.battery,
+        SETTINGS["battery"],
+        "battery",
+        "1",
+        "voltage, as a share of a full battery's",
+    ),
+    "sensor_noise": Factor(
+        _PLANE.sensor_noise,
+        SETTINGS["sensor_noise"],
+        "sensor noise",
+        "1",
+        "factor on the sensors' noise",
+    ),
 }
 
 

@@ -18,6 +18,7 @@ from jaxreplay.config import FACTORS, ConfigError, StudyConfig
 from jaxreplay.params import Params
 from jaxreplay.plane.demonstrator import DEMONSTRATED, TESTED, facing, record
 from jaxreplay.plane.env import PlaneVectorEnv
+from jaxreplay.plane.options import SETTINGS
 from jaxreplay.plane.params import COMMAND_NAMES, SENSOR_NAMES, SENSOR_RANGES, PlaneParams
 from jaxreplay.records import Records
 from jaxreplay.replay import Replays, replay
@@ -118,8 +119,8 @@ def setting(config: StudyConfig, runs: Runs) -> tuple[Params, list[int], dict[st
         what = {name: value[k].item() for name, value in values.items()}
         key = json.dumps([config.seed, what, int(runs.position[k]), int(runs.repeat[k])])
         seeds.append(int.from_bytes(hashlib.sha256(key.encode()).digest()[:8]))
-    options = {name: values[name] for name in ("motor_unit", "dithering", "battery")}
-    options |= {"sensor_noise": values["sensor_noise"], "cube": facing(TESTED[runs.position])}
+    options = {name: values[name] for name in SETTINGS}
+    options["cube"] = facing(TESTED[runs.position])
     return params, seeds, options
 
 

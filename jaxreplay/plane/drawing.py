@@ -4,6 +4,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection
+from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Polygon, Rectangle
 
@@ -58,7 +59,7 @@ class Scene:
             )
         )
         raised = (pose.elevation[0] - p.low) / (p.high - p.low)
-        self._gripper.set_facecolor((*_rgb(_GRIPPER), 1 - 0.7 * raised))
+        self._gripper.set_facecolor((*to_rgb(_GRIPPER), 1 - 0.7 * raised))
         s = p.side / 2
         self._cube.set_xy(_placed(pose.cube[0], [(-s, -s), (s, -s), (s, s), (-s, s)]))
         self._cube.set_linewidth(2.5 if held else 0.8)
@@ -69,8 +70,9 @@ class Scene:
             for a in (-half_view, None, half_view)
         ]
         self._view.set_data(*_placed(pose.robot[0], edges).T)
-        *origin, angle = (a[0] for a in proximeter_rays(p, pose))
-        distance = ray_to_square(*proximeter_rays(p, pose), pose.cube, p.side)[0]
+        rays = proximeter_rays(p, pose)
+        *origin, angle = (a[0] for a in rays)
+        distance = ray_to_square(*rays, pose.cube, p.side)[0]
         shown = np.cos(min(p.scanning_tilt - pose.tilt[0], np.pi / 2))  # beams up look short
         length = shown * np.minimum(distance, p.proximeter_range)
         ends = np.array(origin) + length * np.stack([np.cos(angle), np.sin(angle)])
@@ -92,7 +94,3 @@ def _placed(frame: np.ndarray, points: list[tuple[float, float]]) -> np.ndarray:
     cos, sin = np.cos(angle), np.sin(angle)
     points = np.array(points)
     return 100 * (points @ np.array([[cos, sin], [-sin, cos]]) + [x, y])
-
-
-def _rgb(colour: str) -> tuple[float, ...]:
-    return tuple(int(colour[i : i + 2], 16) / 255 for i in (1, 3, 5))
