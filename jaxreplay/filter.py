@@ -13,7 +13,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from jaxreplay.observation import likelihood, log_density, nearest_point
+from jaxreplay.observation import anchor_point, likelihood, log_density
 from jaxreplay.params import Params
 from jaxreplay.records import Records
 from jaxreplay.scaled import Scaled, scaled
@@ -107,7 +107,8 @@ def predict(records: Records, params: Params, belief: Belief, jump: str = "same_
 
 def command(records: Records, belief: Belief) -> jax.Array:
     """Equation 8: the expectation `[n_u]` of the recorded commands under the belief."""
-    return jnp.sum(view(records, belief).commands * belief.p.value(), axis=(1, 2))
+    commands = view(records, belief).commands
+    return jnp.einsum("kij,ij->k", commands, belief.p.value(), precision="highest")
 
 
 def update(
@@ -134,7 +135,7 @@ def update(
         if value.shape != (records.n_sensors,):
             raise records.misfit(name, value.shape)
     held = view(records, belief)
-    anchor = jax.lax.stop_gradient(nearest_point(held, sigma, z, belief.p))
+    anchor = jax.lax.stop_gradient(anchor_point(held, sigma, z, belief.p))
     joint = belief.p * likelihood(held, sigma, z, anchor)
     evidence = joint.sum()
     log_evidence = evidence.log() + log_density(z, anchor, sigma)

@@ -15,14 +15,16 @@ from numpy.polynomial import chebyshev
 from scipy.special import erfcx
 
 from jaxreplay.records import Records
-from jaxreplay.scaled import Scaled, exp2, product, scaled, upper_half
+from jaxreplay.scaled import LOWEST, Scaled, exp2, product, scaled, upper_half
 from jaxreplay.stage import stage
 
 SQRT_2PI = np.sqrt(2 * np.pi)
 _HALF_LOG2_E = float(1 / (2 * np.log(2)))
+_FARTHEST = 2.0**50  # σ, or half as many; what is farther is taken to be there
 
-# Mills' ratio as a polynomial in (x − c) / (x + c), after Shepherd & Laframboise, Math. Comp.
-# 36 (1981): one division and no exponential, relative error 5e-8 (degree 10), 6e-15 (20).
+# Mills' ratio times x + c as a polynomial in (x − c) / (x + c), after Shepherd & Laframboise,
+# Math. Comp. 36 (1981): one division and no exponential, relative error 5e-8 (degree 10), 6e-15
+# (20).
 _MILLS_CENTRE = 4.0
 _MILLS_DEGREE = {np.dtype(np.float32): 10, np.dtype(np.float64): 20}
 # Below this length × distance, in σ, a segment's two tails cancel: a sum over its ends takes over.
@@ -32,7 +34,7 @@ _SHORT = {np.dtype(np.float32): 0.3, np.dtype(np.float64): 0.01}
 def _mills_coefficients(degree: int) -> np.ndarray:
     def smooth(y):
         x = _MILLS_CENTRE * (1 + y) / (1 - y)
-        return (1 + x) * np.sqrt(np.pi / 2) * erfcx(x / np.sqrt(2))
+        return (x + _MILLS_CENTRE) * np.sqrt(np.pi / 2) * erfcx(x / np.sqrt(2))
 
     return chebyshev.cheb2poly(chebyshev.chebinterpolate(smooth, degree))[::-1]
 
@@ -42,11 +44,12 @@ _MILLS = {dtype: _mills_coefficients(degree) for dtype, degree in _MILLS_DEGREE.
 
 def mills_ratio(x: jax.Array) -> jax.Array:
     """(1 − Φ(x)) / φ(x) of the standard normal, for x ≥ 0, any shape."""
-    y = (x - _MILLS_CENTRE) / (x + _MILLS_CENTRE)
+    w = 1 / (x + _MILLS_CENTRE)
+    y = 1 - 2 * _MILLS_CENTRE * w
     value = jnp.zeros_like(x)
     for coefficient in _MILLS[x.dtype]:
         value = value * y + float(coefficient)
-    return value / (1 + x)
+    return value * w
 
 
 def likelihood(records: Records, sigma: jax.Array, z: jax.Array, anchor: jax.Array) -> Scaled:
@@ -64,26 +67,37 @@ def likelihood(records: Records, sigma: jax.Array, z: jax.Array, anchor: jax.Arr
         records: N records.
         sigma: `[n_s]` σ.
         z: `[n_s]` the observation Z_t, NaN where a sensor is missing.
-        anchor: `[n_s]` any point, best the one :func:`nearest_point` gives.
+        anchor: `[n_s]` any point, best the one :func:`anchor_point` gives.
 
     Returns:
         `[N, L]` p(Z_t | i, j) / p(Z_t | anchor), the anchor a point Gaussian (see
         :func:`log_density`). Values past a record's end mean nothing.
     """
     z, seen = _seen(records, z)
-    sigma, z, anchor, seen = (value[:, None, None] for value in (sigma, z, anchor, seen))
-    nodes = _nodes(records.nodes, sigma, z, anchor)
-    segments = _segments(nodes, sigma, z, _density_ratio(z, sigma, z, anchor))
-    return _states(segments, seen)
+    frame = _frame(*(value[:, None] for value in (sigma, z, anchor)))
+    zeta = _in_unit(records.nodes.reshape(records.n_sensors, -1), frame)
+    states = _states(_segments(_nodes(zeta, frame), frame), seen[:, None])
+    return jax.tree.map(lambda x: x.reshape(records.n_records, -1)[:, :-2], states)
 
 
-def nearest_point(records: Records, sigma: jax.Array, z: jax.Array, prior: Scaled) -> jax.Array:
-    """A point `[n_s]` of the records to anchor :func:`likelihood` at.
+def anchor_point(records: Records, sigma: jax.Array, z: jax.Array, prior: Scaled) -> jax.Array:
+    """A point `[n_s]` to anchor :func:`likelihood` at.
 
-    It is the point closest to z, in σ, of the segments of the state that equation 9 is about
-    to favour, `prior` being the predicted belief, `[N, L]`.
+    The observation itself does, brought within what the records span, as long as all densities
+    fit an exponent relative to it. Further away, thousands of σ, it is the point closest to z,
+    in σ, of the segments of the state that equation 9 is about to favour, `prior` being the
+    predicted belief, `[N, L]`.
     """
     z, seen = _seen(records, z)
+    low, high = records.span
+    point = jnp.clip(z, low, high)
+    reach, beyond = (jnp.minimum(x / sigma, _FARTHEST) for x in (high - low, jnp.abs(z - point)))
+    lowest = -_HALF_LOG2_E * jnp.sum(jnp.where(seen, reach * (reach + 2 * beyond), 0.0))
+    near = lowest > LOWEST
+    return jax.lax.cond(near, lambda *_: point, _nearest_point, records, sigma, z, seen, prior)
+
+
+def _nearest_point(records: Records, sigma, z, seen, prior: Scaled) -> jax.Array:
     some, unit = records.nodes[:, 0, 1], jnp.sqrt(_HALF_LOG2_E) / sigma
     score = jnp.where(prior.mantissa == 0, -jnp.inf, prior.exponent.astype(z.dtype))
     for k in range(records.n_sensors):
@@ -118,11 +132,26 @@ def _nearest(z, *nodes):
     return jnp.clip(z, reduce(jnp.minimum, nodes), reduce(jnp.maximum, nodes))
 
 
-class _Nodes(NamedTuple):
-    """What samples contribute to the segments between them, each `[n_s, N, L + 2]`.
+class _Frame(NamedTuple):
+    """What is the same for all samples of a sensor, each `[n_s, 1]`.
 
-    zeta: the samples ζ, in the sensor's unit.
-    density: N(z; ζ, σ²) / N(z; anchor, σ²).
+    Distances are in units of the power of two below σ, so that their squares stay in range.
+    """
+
+    unit: jax.Array
+    z: jax.Array
+    inverse: jax.Array  # 1 / σ
+    anchor: jax.Array
+    offset: tuple[jax.Array, jax.Array]  # 2 (anchor − z), and what rounding took
+    factor: tuple[jax.Array, jax.Array]  # 1 / (2 σ² ln 2), and what rounding took
+    peak: Scaled  # N(z; z, σ²) / N(z; anchor, σ²)
+
+
+class _Nodes(NamedTuple):
+    """What samples contribute to the segments between them, each `[n_s, N (L + 2)]`.
+
+    zeta: the samples ζ.
+    density: N(z; ζ, σ²) / N(z; anchor, σ²), not normalised.
     mills: Mills' ratio of |ζ − z| / σ, the tail beyond in units of the density there.
     """
 
@@ -132,36 +161,75 @@ class _Nodes(NamedTuple):
 
 
 @stage
-def _nodes(zeta, sigma, z, anchor) -> _Nodes:
-    density = _density_ratio(zeta, sigma, z, anchor)
-    return _Nodes(zeta, density, mills_ratio(jnp.abs((zeta - z) * (1 / sigma))))
+def _frame(sigma, z, anchor) -> _Frame:
+    sigma = scaled(sigma)
+    unit = Scaled(jnp.ones_like(z), -sigma.exponent).value()
+    z, anchor = (jnp.clip(x * unit, -_FARTHEST, _FARTHEST) for x in (z, anchor))
+    offset, offset_low = _two_sum(anchor, -z)
+    factor = _two_quotient(_HALF_LOG2_E, *_two_product(sigma.mantissa, sigma.mantissa))
+    frame = _Frame(
+        unit, z, 1 / sigma.mantissa, anchor, (2 * offset, 2 * offset_low), factor, peak=None
+    )
+    near = _near_log2_ratio(z, frame)
+    return frame._replace(peak=Scaled(exp2(*_log2_ratio(z, frame), near), near))
+
+
+def _in_unit(zeta, frame: _Frame):
+    return jnp.clip(zeta * frame.unit, -_FARTHEST, _FARTHEST)
+
+
+def _nodes(zeta, frame: _Frame) -> _Nodes:
+    near = stage(_near_log2_ratio)(zeta, frame)
+    density = Scaled(_exp2_ratio(zeta, frame, near), near)
+    return _Nodes(zeta, density, _tail(zeta, frame))
 
 
 @stage
-def _segments(nodes: _Nodes, sigma, z, peak: Scaled) -> Scaled:
-    """The mean of N(z; ·, σ²) / N(z; anchor, σ²) along each segment, `[n_s, N, L + 1]`.
+def _exp2_ratio(zeta, frame: _Frame, near):
+    return exp2(*_log2_ratio(zeta, frame), near)
 
-    `peak` is that ratio at z itself. The result is not normalised.
+
+@stage
+def _tail(zeta, frame: _Frame):
+    return mills_ratio(jnp.abs((zeta - frame.z) * frame.inverse))
+
+
+def _segments(nodes: _Nodes, frame: _Frame) -> Scaled:
+    """The mean of N(z; ·, σ²) / N(z; anchor, σ²) along each segment, `[n_s, N (L + 2) − 1]`.
+
+    Not normalised, but within 2^±12.
     """
-    start, end = (
-        jax.tree.map(lambda node, part=part: node[..., part], nodes)
-        for part in (slice(None, -1), slice(1, None))
-    )
-    x_start, x_end = ((node.zeta - z) * (1 / sigma) for node in (start, end))
-    between = (start.zeta < z) != (end.zeta < z)
+    exponent = _segment_exponent(nodes, frame)
+    return Scaled(_segment_mean(nodes, frame, exponent), exponent)
+
+
+@stage
+def _segment_exponent(nodes: _Nodes, frame: _Frame):
+    """That of the denser end, less what the mean along the segment is below it."""
+    start, end, between = _ends(nodes, frame)
+    distance = jnp.minimum(jnp.abs(start.zeta - frame.z), jnp.abs(end.zeta - frame.z))
+    distance = jnp.where(between, 0.0, distance) * frame.inverse
+    d = jnp.abs(end.zeta - start.zeta) * frame.inverse
+    spread = scaled(jnp.maximum(d * jnp.maximum(distance, 1.0), 1.0)).exponent
     exponent = jnp.maximum(start.density.exponent, end.density.exponent)
-    exponent = jnp.where(between, peak.exponent, exponent)
+    return jnp.where(between, frame.peak.exponent, exponent) - spread
+
+
+@stage
+def _segment_mean(nodes: _Nodes, frame: _Frame, exponent):
+    start, end, between = _ends(nodes, frame)
     a, b = start.density.at(exponent), end.density.at(exponent)
 
     # The integral, in units of the density: two tails, taken from the whole bell if z lies
     # between them, else one from the other.
     tail_a, tail_b = a * start.mills, b * end.mills
-    across = SQRT_2PI * peak.at(exponent) - tail_a - tail_b
+    across = SQRT_2PI * frame.peak.at(exponent) - tail_a - tail_b
     integral = jnp.where(between, across, jnp.abs(tail_a - tail_b))
 
     # On a short segment the tails cancel; there the Euler–Maclaurin sum of its two ends, with
     # the Gaussian's first and third derivatives, is exact to the working precision.
-    d = (end.zeta - start.zeta) * (1 / sigma)
+    x_start, x_end = ((node.zeta - frame.z) * frame.inverse for node in (start, end))
+    d = (end.zeta - start.zeta) * frame.inverse
     reach = jnp.maximum(jnp.maximum(jnp.abs(x_start), jnp.abs(x_end)), 1.0)
     short = jnp.abs(d) * reach < _SHORT[d.dtype]
     d_short = jnp.where(short, d, 0.0)
@@ -170,43 +238,49 @@ def _segments(nodes: _Nodes, sigma, z, peak: Scaled) -> Scaled:
     mean = (a + b) / 2 + (db * b - da * a) / 12
     mean -= (db * (db * db - 3 * d2) * b - da * (da * da - 3 * d2) * a) / 720
     mean = jnp.where(short, mean, integral / jnp.where(short, 1.0, jnp.abs(d)))
-    return Scaled(jnp.maximum(mean, jnp.finfo(mean.dtype).tiny), exponent)
+    return jnp.maximum(mean, 2.0**-12)
+
+
+def _ends(nodes: _Nodes, frame: _Frame) -> tuple[_Nodes, _Nodes, jax.Array]:
+    """Where segments start and end, and whether z is between."""
+    start = jax.tree.map(lambda node: node[:, :-1], nodes)
+    end = jax.tree.map(lambda node: node[:, 1:], nodes)
+    return start, end, (start.zeta < frame.z) != (end.zeta < frame.z)
 
 
 @stage
 def _states(segments: Scaled, seen) -> Scaled:
-    """Half of each of the two segments at every sample, multiplied over sensors: `[N, L]`."""
-    left, right = segments[..., :-1], segments[..., 1:]
+    """Half of each of the two segments at every sample, multiplied over sensors.
+
+    `[N (L + 2)]`; the last two of every L + 2 belong to no sample.
+    """
+    left, right = segments[:, :-1], segments[:, 1:]
     exponent = jnp.maximum(left.exponent, right.exponent)
     both = jnp.where(seen, left.at(exponent) + right.at(exponent), 2.0)
-    return product(scaled(both, jnp.where(seen, exponent, 0) - 1))
+    states = product(Scaled(both, jnp.where(seen, exponent, 0) - 1))
+    return jax.tree.map(lambda x: jnp.pad(x, (0, 2)), states)
 
 
-def _density_ratio(point, sigma, z, anchor) -> Scaled:
-    """N(z; point, σ²) / N(z; anchor, σ²)."""
-    return exp2(*_log2_ratio(point, z, anchor, sigma))
+def _near_log2_ratio(point, frame: _Frame):
+    """An integer near log2 of N(z; point, σ²) / N(z; anchor, σ²), within ±2^27."""
+    apart = frame.anchor - point
+    ratio = apart * (frame.offset[0] - apart) * frame.factor[0]
+    return jnp.clip(jnp.round(jax.lax.stop_gradient(ratio)), LOWEST, -LOWEST).astype(jnp.int32)
 
 
-def _log2_ratio(point, z, anchor, sigma):
+def _log2_ratio(point, frame: _Frame):
     """log2 of N(z; point, σ²) / N(z; anchor, σ²), as a sum of two floats not added up.
 
     It is (anchor − point) (point + anchor − 2 z) / (2 σ² ln 2), each rounding error kept: tens
     of σ away from every record its rounding to one float would be seen in the posterior.
     """
-    unit = scaled(sigma)  # distances in σ's power of two, so that squares stay in range
-    to_unit = Scaled(jnp.ones_like(sigma), -unit.exponent).value()
-    apart, apart_low = _two_sum(anchor, -point)
-    offset, offset_low = _two_sum(anchor, -z)
-    total, total_low = _two_sum(2 * offset, -apart)
-    total_low += 2 * offset_low - apart_low
-    apart, apart_low, total, total_low = (x * to_unit for x in (apart, apart_low, total, total_low))
+    apart, apart_low = _two_sum(frame.anchor, -point)
+    total, total_low = _two_sum(frame.offset[0], -apart)
+    total_low += frame.offset[1] - apart_low
     product, product_low = _two_product(apart, total)
     product_low += apart * total_low + apart_low * total
-
-    square, square_low = _two_product(unit.mantissa, unit.mantissa)
-    factor, factor_low = _two_quotient(_HALF_LOG2_E, square, square_low)
-    high, low = _two_product(product, factor)
-    return high, low + (product * factor_low + product_low * factor)
+    high, low = _two_product(product, frame.factor[0])
+    return high, low + (product * frame.factor[1] + product_low * frame.factor[0])
 
 
 def _two_quotient(dividend: float, divisor, divisor_low):

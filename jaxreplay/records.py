@@ -18,7 +18,7 @@ _BROKEN_ZIP = (zipfile.BadZipFile, zlib.error)
 
 @partial(
     jax.tree_util.register_dataclass,
-    data_fields=["nodes", "commands", "lengths"],
+    data_fields=["nodes", "commands", "lengths", "span"],
     meta_fields=["sensor_names", "command_names", "period", "offset"],
 )
 @dataclass(frozen=True)
@@ -39,6 +39,7 @@ class Records:
             needs no special case there. Later columns repeat the last sample.
         commands: `[n_u, N, L]` commands v, in the actuators' own units, zero past L_i.
         lengths: `[N]` the lengths L_i, int32.
+        span: `[2, n_s]` the lowest and the highest of each sensor's nodes.
         sensor_names: n_s names.
         command_names: n_u names.
         period: time between rows in seconds, None when unknown.
@@ -50,6 +51,7 @@ class Records:
     nodes: jax.Array
     commands: jax.Array
     lengths: jax.Array
+    span: jax.Array
     sensor_names: tuple[str, ...]
     command_names: tuple[str, ...]
     period: float | None
@@ -109,10 +111,12 @@ class Records:
         mirrored = [np.concatenate([s[:2][-1:], s, s[-2:][:1]]) for s in sensors]
         nodes = [_extend(m, longest + 2, "edge") for m in mirrored]
         rows = [_extend(c, longest, "constant") for c in commands]
+        nodes = _cast(np.stack(nodes).transpose(2, 0, 1))
         return cls(
-            nodes=jnp.asarray(_cast(np.stack(nodes).transpose(2, 0, 1))),
+            nodes=jnp.asarray(nodes),
             commands=jnp.asarray(_cast(np.stack(rows).transpose(2, 0, 1))),
             lengths=jnp.asarray(lengths, dtype=jnp.int32),
+            span=jnp.asarray([nodes.min((1, 2)), nodes.max((1, 2))]),
             sensor_names=_names(sensor_names, sensors[0].shape[1], "z", "sensor"),
             command_names=_names(command_names, commands[0].shape[1], "u", "command"),
             period=None if period is None else float(period),

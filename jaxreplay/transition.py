@@ -5,7 +5,7 @@ import jax.numpy as jnp
 
 from jaxreplay.params import Params
 from jaxreplay.records import Records
-from jaxreplay.scaled import Scaled, scaled, select
+from jaxreplay.scaled import Scaled, scaled, select, weighted
 from jaxreplay.stage import stage
 
 
@@ -25,7 +25,7 @@ def record_transition(theta_i: jax.Array, mass: Scaled) -> Scaled:
     n = mass.exponent.shape[0]
     if n == 1:
         return mass
-    return scaled(1 - theta_i) * mass + scaled(theta_i / (n - 1)) * _sum_of_others(mass)
+    return weighted((scaled(1 - theta_i), mass), (scaled(theta_i / (n - 1)), _sum_of_others(mass)))
 
 
 @stage
@@ -44,10 +44,10 @@ def time_transition(records: Records, theta_tau: jax.Array, mass: Scaled) -> Sca
     """
     last = jnp.arange(records.longest) == records.lengths[:, None] - 1
     before = mass.padded((2, 0))
-    by_0 = scaled(jnp.where(last, 1.0, theta_tau)) * mass
-    by_1 = scaled(jnp.where(last, 1 - theta_tau, 1 - 2 * theta_tau)) * before[:, 1:-1]
-    by_2 = scaled(theta_tau) * before[:, :-2]
-    return (by_0 + by_1 + by_2).where(_inside(records))
+    stay = select(last, scaled(jnp.ones_like(theta_tau)), scaled(theta_tau))
+    step = select(last, scaled(1 - theta_tau), scaled(1 - 2 * theta_tau))
+    moved = weighted((stay, mass), (step, before[:, 1:-1]), (scaled(theta_tau), before[:, :-2]))
+    return moved.where(_inside(records))
 
 
 def predict_same_tau(records: Records, params: Params, belief: Scaled) -> Scaled:
@@ -84,11 +84,16 @@ def _inside(records: Records) -> jax.Array:
 def _sum_of_others(mass: Scaled) -> Scaled:
     """Σ_{i' ≠ i} mass[i'] for every i along axis 0, without cancellation.
 
-    The sum less the term itself is exact enough where a larger term remains in it; only the
-    largest term needs a sum of its own, of the rest.
+    The sum less the term itself is exact enough where a term as large remains in it; a term that
+    is larger than all others needs their sum. Not normalised.
     """
-    terms, exponent = mass.aligned(axis=0)
-    row = jnp.arange(len(terms)).reshape((-1,) + (1,) * (terms.ndim - 1))
-    is_top = row == jnp.argmax(mass.exponent, axis=0)
-    rest = mass.where(~is_top).sum(axis=0)
-    return select(is_top, rest, scaled(jnp.sum(terms, axis=0) - terms, exponent))
+    highest = jnp.max(mass.exponent, axis=0)
+    top = mass.exponent == highest
+    tops = jnp.sum(jnp.where(top, mass.mantissa, 0.0), axis=0)
+    rest = mass.where(~top)
+    second = jnp.max(rest.exponent, axis=0)
+    rests = jnp.sum(rest.at(second), axis=0)
+    alone = top & (tops == mass.mantissa)
+    apart = jnp.where(top, mass.mantissa, rest.at(highest))
+    others = (tops - apart) + Scaled(rests, second).at(highest)
+    return Scaled(jnp.where(alone, rests, others), jnp.where(alone, second, highest))

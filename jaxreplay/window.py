@@ -18,6 +18,7 @@ import jax.numpy as jnp
 
 from jaxreplay.records import Records
 from jaxreplay.scaled import LOWEST, Scaled, less
+from jaxreplay.stage import stage
 
 if TYPE_CHECKING:
     from jaxreplay.filter import Belief
@@ -100,4 +101,4 @@ def _cut(array: jax.Array, start: jax.Array, width: int) -> jax.Array:
     if start.ndim == 0:
         return jax.lax.dynamic_slice_in_dim(array, start, width, axis=-1)
     cut = jax.vmap(partial(jax.lax.dynamic_slice_in_dim, slice_size=width, axis=-1), (-2, 0), -2)
-    return cut(array, start)
+    return stage(cut)(array, start)  # by itself it copies rows, within a larger loop numbers
