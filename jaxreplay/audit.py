@@ -1,16 +1,14 @@
 """What windows cost in accuracy: a replay filtered again, all moments held, and compared."""
 
-from functools import cache
 from typing import NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
-from jaxreplay.filter import Belief, Filter, build_filter
+from jaxreplay.filter import Belief
 from jaxreplay.params import Params
 from jaxreplay.records import Records
-from jaxreplay.tracker import Tracker
+from jaxreplay.tracker import LANES, Tracker
 
 
 class Audit(NamedTuple):
@@ -34,33 +32,26 @@ def audit(records: Records, params: Params, jump: str, observations: np.ndarray)
         jump: `"same_tau"` or `"own_tau"`.
         observations: what a replay saw.
     """
-    tracker = Tracker(records, jax.tree.map(lambda x: x[None], params), jump)
-    filter, compare = build_filter(jump), _compare(jump)
-    whole = filter.predict(records, params, filter.init(records))
-    going, worst = np.array([True]), np.zeros(2)
+    batch = jax.tree.map(lambda x: np.stack([x] * LANES), params)
+    tracker, dense = Tracker(records, batch, jump), Tracker(records, batch, jump, windows=())
+    commands = np.concatenate(records.sequences()[1])
+    span = np.ptp(commands, axis=0)
+    span[span == 0] = 1
+    first, worst = np.arange(LANES) == 0, np.zeros(2)
     for z in observations:
-        tracker.advance(z[None], going)
-        whole, _ = filter.update(records, params, whole, z)
-        whole = filter.predict(records, params, whole)
-        here = compare(records, whole, tracker.belief(0), tracker.command[0])
-        worst = np.maximum(worst, np.asarray(here))
+        for each in (tracker, dense):
+            each.advance(np.stack([z] * LANES), first)
+        p, q = (_posterior(records, each.belief(0)) for each in (tracker, dense))
+        off = np.abs(tracker.command[0] - dense.command[0]) / span
+        worst = np.maximum(worst, (np.abs(p - q).sum() / 2, off.max()))
     return Audit(*worst.tolist())
 
 
-@cache
-def _compare(jump: str):
-    filter: Filter = build_filter(jump)
-
-    @jax.jit
-    def compare(records: Records, whole: Belief, held: Belief, command: jax.Array) -> jax.Array:
-        p, q = (filter.posterior(records, belief) for belief in (whole, held))
-        rows = jnp.arange(records.longest) < records.lengths[:, None]
-        low, high = (
-            bound(jnp.where(rows, records.commands, -sign * np.inf), axis=(1, 2))
-            for bound, sign in ((jnp.min, -1), (jnp.max, 1))
-        )
-        span = jnp.where(high > low, high - low, 1.0)
-        off = jnp.abs(command - filter.command(records, whole)) / span
-        return jnp.stack([jnp.abs(p - q).sum() / 2, off.max()])
-
-    return compare
+def _posterior(records: Records, belief: Belief) -> np.ndarray:
+    """Probabilities `[N, L]`."""
+    belief = jax.tree.map(np.asarray, belief)
+    held = np.ldexp(belief.p.mantissa, belief.p.exponent)
+    p = np.zeros((records.n_records, records.longest))
+    columns = np.broadcast_to(belief.start, len(p))[:, None] + np.arange(held.shape[1])
+    np.put_along_axis(p, columns, held, axis=1)
+    return p

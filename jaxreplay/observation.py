@@ -92,8 +92,8 @@ def anchor_point(records: Records, sigma: jax.Array, z: jax.Array, prior: Scaled
     low, high = records.span
     point = jnp.clip(z, low, high)
     reach, beyond = (jnp.minimum(x / sigma, _FARTHEST) for x in (high - low, jnp.abs(z - point)))
-    lowest = -_HALF_LOG2_E * jnp.sum(jnp.where(seen, reach * (reach + 2 * beyond), 0.0))
-    near = lowest > LOWEST
+    bits = _HALF_LOG2_E * jnp.where(seen, reach * (reach + 2 * beyond), 0.0)
+    near = jnp.max(bits) < -LOWEST // records.n_sensors
     return jax.lax.cond(near, lambda *_: point, _nearest_point, records, sigma, z, seen, prior)
 
 
@@ -117,7 +117,8 @@ def _nearest_point(records: Records, sigma, z, seen, prior: Scaled) -> jax.Array
 def log_density(z: jax.Array, point: jax.Array, sigma: jax.Array) -> jax.Array:
     """Log of the point Gaussian N(z; point, σ²), summed over the sensors that are not missing."""
     seen = ~jnp.isnan(z)
-    distance = (jnp.where(seen, z, point) - point) / sigma
+    farthest = jnp.sqrt(jnp.finfo(z.dtype).max) / len(z)  # so that the sum stays finite
+    distance = jnp.clip((jnp.where(seen, z, point) - point) / sigma, -farthest, farthest)
     return jnp.sum(jnp.where(seen, -(distance**2) / 2 - jnp.log(sigma * SQRT_2PI), 0.0))
 
 
@@ -262,10 +263,14 @@ def _states(segments: Scaled, seen) -> Scaled:
 
 
 def _near_log2_ratio(point, frame: _Frame):
-    """An integer near log2 of N(z; point, σ²) / N(z; anchor, σ²), within ±2^27."""
+    """An integer near log2 of N(z; point, σ²) / N(z; anchor, σ²).
+
+    It stops where an exponent could no longer hold the product over all sensors.
+    """
     apart = frame.anchor - point
     ratio = apart * (frame.offset[0] - apart) * frame.factor[0]
-    return jnp.clip(jnp.round(jax.lax.stop_gradient(ratio)), LOWEST, -LOWEST).astype(jnp.int32)
+    lowest = LOWEST // point.shape[0]
+    return jnp.clip(jnp.round(jax.lax.stop_gradient(ratio)), lowest, -lowest).astype(jnp.int32)
 
 
 def _log2_ratio(point, frame: _Frame):

@@ -12,10 +12,9 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 
 from jaxreplay.params import Params
 from jaxreplay.records import Records
-from jaxreplay.tracker import Tracker
+from jaxreplay.tracker import LANES, Tracker
 
 COMPLETED = 0.9  # § 2.2.5
-CHUNK = 7  # replays that advance in one call of the filter
 
 
 class Replays(NamedTuple):
@@ -29,7 +28,7 @@ class Replays(NamedTuple):
         log_evidence: `[n]` log p(Z_1:t) of the whole replay.
         info: what the environment told at each replay's last step, `[n]` for each name; NaN or
             empty where it told nothing.
-        widened: `[1]` how often a step was done again in a wider window.
+        widened: `[n]` how often a step was done again in a wider window.
         observations: of each replay that was asked for, a list of its `[n_s]` Z_t.
     """
 
@@ -82,12 +81,12 @@ def replay(
         reward=np.zeros(n),
         log_evidence=np.zeros(n),
         info={},
-        widened=np.zeros(1, int),
+        widened=np.zeros(n, int),
         observations={k: [] for k in keep},
     )
     # Chunks of one size, so that one program serves all; the last is filled up with lanes that
     # never go on.
-    parts = [slice(i, i + CHUNK) for i in range(0, slots, CHUNK)]
+    parts = [slice(i, i + LANES) for i in range(0, slots, LANES)]
     lanes = parts[-1].stop
     run, going = np.zeros(lanes, int), np.zeros(lanes, bool)
     z = np.zeros((lanes, records.n_sensors))
@@ -129,8 +128,10 @@ def replay(
             for b in np.flatnonzero(going[:slots]):
                 if run[b] in done.observations:
                     done.observations[run[b]].append(z[b].copy())
+            widened = np.concatenate([chunk.widened for chunk in chunks])
             now, busy = run[:slots][going[:slots]], going[:slots].copy()
             done.steps[now] += 1
+            done.widened[now] = widened[:slots][busy]
             done.reward[now] += reward[busy]
             done.log_evidence[now] += gained[:slots][busy]
             completed = at_end[:slots] > COMPLETED
@@ -151,7 +152,6 @@ def replay(
             over = (terminated | truncated) & ~going[:slots]
             if over.any() and not hasattr(env, "resting"):
                 env.reset(options={"reset_mask": over})  # it cannot be stepped otherwise
-            done.widened[0] = sum(chunk.widened for chunk in chunks)
             progress(done)
     return done
 

@@ -13,9 +13,9 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.polynomial import chebyshev
 
-# Exponents stop here and at its negative: hypotheses some 10^8 bits behind are no longer told
+# Exponents stop here and at its negative: hypotheses some 5 × 10^8 bits behind are no longer told
 # apart, nor forgotten.
-LOWEST = -(2**27)
+LOWEST = -(2**29)
 ZERO = (0.0, 2 * LOWEST)  # mantissa and exponent of nothing
 
 _LAYOUT = {  # of a float: the integer of its width, mantissa bits, exponent bias

@@ -29,25 +29,25 @@ def record_transition(theta_i: jax.Array, mass: Scaled) -> Scaled:
 
 
 @stage
-def time_transition(records: Records, theta_tau: jax.Array, mass: Scaled) -> Scaled:
+def time_transition(lengths: jax.Array, theta_tau: jax.Array, mass: Scaled) -> Scaled:
     """Equation 4: a 3-tap convolution along τ, with (θ_τ, 1 − 2θ_τ, θ_τ) for +0, +1, +2.
 
     The last sample of a record absorbs what would pass it (decided; the paper is silent).
 
     Args:
-        records: N records.
+        lengths: `[N]` of the records.
         theta_tau: θ_τ.
         mass: `[N, L]` the mass at each moment.
 
     Returns:
         `[N, L]` the mass after the step.
     """
-    last = jnp.arange(records.longest) == records.lengths[:, None] - 1
+    last = jnp.arange(mass.exponent.shape[1]) == lengths[:, None] - 1
     before = mass.padded((2, 0))
     stay = select(last, scaled(jnp.ones_like(theta_tau)), scaled(theta_tau))
     step = select(last, scaled(1 - theta_tau), scaled(1 - 2 * theta_tau))
     moved = weighted((stay, mass), (step, before[:, 1:-1]), (scaled(theta_tau), before[:, :-2]))
-    return moved.where(_inside(records))
+    return moved.where(_inside(lengths, mass))
 
 
 def predict_same_tau(records: Records, params: Params, belief: Scaled) -> Scaled:
@@ -57,8 +57,8 @@ def predict_same_tau(records: Records, params: Params, belief: Scaled) -> Scaled
     past the end of the record it jumps to is dropped and the rest renormalised once; if
     nothing remains (θ_I = 1 into ended records), the belief before the step is kept.
     """
-    moved = time_transition(records, params.theta_tau, belief)
-    landed = record_transition(params.theta_i, moved).where(_inside(records))
+    moved = time_transition(records.lengths, params.theta_tau, belief)
+    landed = record_transition(params.theta_i, moved).where(_inside(records.lengths, belief))
     remaining = landed.sum()
     return select(remaining.mantissa > 0, landed / remaining, belief)
 
@@ -72,13 +72,13 @@ def predict_own_tau(records: Records, params: Params, belief: Scaled) -> Scaled:
     equation 4 forbids.
     """
     weight = belief.sum(axis=1)[:, None]
-    conditional = time_transition(records, params.theta_tau, belief / weight)
+    conditional = time_transition(records.lengths, params.theta_tau, belief / weight)
     return record_transition(params.theta_i, weight) * conditional
 
 
-def _inside(records: Records) -> jax.Array:
+def _inside(lengths: jax.Array, mass: Scaled) -> jax.Array:
     """Which of `[N, L]` are moments of a record, not padding."""
-    return jnp.arange(records.longest) < records.lengths[:, None]
+    return jnp.arange(mass.exponent.shape[1]) < lengths[:, None]
 
 
 def _sum_of_others(mass: Scaled) -> Scaled:

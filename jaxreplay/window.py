@@ -98,7 +98,11 @@ def _window(p: Scaled, start: jax.Array, width: int) -> Scaled:
 
 def _cut(array: jax.Array, start: jax.Array, width: int) -> jax.Array:
     """`width` columns of `[…, N, columns]`, from one start or from one for each of the N."""
+    # Stages, for by itself a slice copies rows, within a larger loop numbers.
+    cut = partial(jax.lax.dynamic_slice_in_dim, slice_size=width, axis=-1)
     if start.ndim == 0:
-        return jax.lax.dynamic_slice_in_dim(array, start, width, axis=-1)
-    cut = jax.vmap(partial(jax.lax.dynamic_slice_in_dim, slice_size=width, axis=-1), (-2, 0), -2)
-    return stage(cut)(array, start)  # by itself it copies rows, within a larger loop numbers
+        return stage(cut)(array, start)
+    # One slice for each row, as leading axis: of any other axis XLA would first copy the array.
+    rows = array.reshape(-1, array.shape[-1])
+    starts = jnp.broadcast_to(start, array.shape[:-1]).ravel()
+    return stage(jax.vmap(cut))(rows, starts).reshape(*array.shape[:-1], width)

@@ -31,8 +31,8 @@ def test_what_a_narrow_window_loses_is_measured(setting, monkeypatch):
     """Held against the reference, which has none."""
     sensors, commands, seen = setting
     records, params = Records.from_sequences(sensors, commands), Params(THETA_I, THETA_TAU, SIGMA)
-    monkeypatch.setattr(tracker, "WINDOWS", (32, None))
-    monkeypatch.setattr(tracker, "DROPPABLE", 1)
+    monkeypatch.setattr(tracker, "WINDOWS", (32,))
+    monkeypatch.setattr(tracker, "MARGIN", -(2**29))
     found = audit(records, params, "own_tau", seen)
 
     narrow = tracker.Tracker(records, Params([THETA_I], [THETA_TAU], [SIGMA]), "own_tau")

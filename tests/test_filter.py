@@ -5,6 +5,19 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from conftest import LENGTHS, N_SENSORS, as_float32, random_sequences
+from filter_helpers import (
+    COMPILE_QUICKLY,
+    PRECISIONS,
+    READINGS,
+    assert_agree,
+    both_precisions,
+    both_readings,
+    noise,
+    run,
+    run_reference,
+    tolerance,
+    x64,
+)
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import norm
@@ -15,24 +28,8 @@ from jaxreplay.scaled import scaled
 from jaxreplay.transition import record_transition
 from jaxreplay.window import NOTHING
 
-READINGS = ("same_tau", "own_tau")
 SIGMA = np.array([0.5, 2.0])
 STEPS = 30
-ABSOLUTE = {"float32": 2e-5, "float64": 1e-9}  # posterior, command, end probability
-RELATIVE = {"float32": 1e-5, "float64": 1e-9}  # log evidence
-
-COMPILE_QUICKLY = {"xla_backend_optimization_level": 0, "xla_llvm_disable_expensive_passes": True}
-
-both_readings = pytest.mark.parametrize("jump", READINGS)
-both_precisions = pytest.mark.parametrize("precision", ABSOLUTE)
-
-
-def x64(precision="float64"):
-    return jax.enable_x64(precision == "float64")
-
-
-def noise(seed, *shape):
-    return np.random.default_rng(seed).normal(size=shape)
 
 
 def passing(record, seed=0):
@@ -101,43 +98,11 @@ THETAS = [
 ]
 
 
-def run(f, sequences, zs, params):
-    """Posterior, command, log evidence and end probability after every step."""
-    records = Records.from_sequences(*sequences)
-    belief, steps = f.init(records), []
-    for z in zs:
-        belief = f.predict(records, params, belief)
-        u = f.command(records, belief)
-        belief, log_evidence = f.update(records, params, belief, z)
-        end = f.end_probability(records, belief)
-        steps.append((f.posterior(records, belief), u, log_evidence, end))
-    return [np.array(values) for values in zip(*steps, strict=True)], belief
-
-
-def run_reference(sequences, zs, theta_i, theta_tau, sigma, jump):
-    sensors, commands = sequences
-    belief, steps = reference.initial(sensors), []
-    for z in zs:
-        belief = reference.predict(sensors, theta_i, theta_tau, belief, jump)
-        u = reference.command(commands, belief)
-        belief, log_evidence = reference.update(sensors, sigma, belief, z)
-        end = reference.end_probability(sensors, belief)
-        steps.append((np.exp(belief), u, log_evidence, end))
-    return [np.array(values) for values in zip(*steps, strict=True)]
-
-
 @cache
 def expected(name, theta_i, theta_tau, jump):
     *sequences, zs = scenario(name)
     thetas = as_float32([theta_i, theta_tau])
     return run_reference(sequences, zs, *thetas, SIGMA, jump)
-
-
-def assert_agree(got, want, precision):
-    for name, a, b in zip(("posterior", "command", "evidence", "end"), got, want, strict=True):
-        rtol = RELATIVE[precision] if name == "evidence" else 0
-        atol = RELATIVE[precision] if name == "evidence" else ABSOLUTE[precision]
-        np.testing.assert_allclose(a, b, rtol=rtol, atol=atol, err_msg=name)
 
 
 @both_readings
@@ -162,16 +127,18 @@ def check_every_step(name, thetas, precision, jump):
         params = Params(*as_float32(thetas), SIGMA)
         got, _ = run(build_filter(jump), sequences, zs, params)
     assert got[0].dtype == precision
-    assert_agree(got, expected(name, *thetas, jump), precision)
+    allowed = tolerance(sequences[0], zs, SIGMA, precision)
+    assert_agree(got, expected(name, *thetas, jump), allowed, precision)
 
 
-@pytest.mark.parametrize(("jump", "precision"), list(zip(READINGS, ABSOLUTE, strict=True)))
+@pytest.mark.parametrize(("jump", "precision"), list(zip(READINGS, PRECISIONS, strict=True)))
 def test_one_record_agrees_with_the_reference(jump, precision):
     sequences = random_sequences(7, (200,))
     zs = as_float32(passing(sequences[0][0]))
     with x64(precision):
         got, _ = run(build_filter(jump), sequences, zs, Params(0.5, 0.125, SIGMA))
-    assert_agree(got, run_reference(sequences, zs, 0.5, 0.125, SIGMA, jump), precision)
+    want = run_reference(sequences, zs, 0.5, 0.125, SIGMA, jump)
+    assert_agree(got, want, tolerance(sequences[0], zs, SIGMA, precision), precision)
 
 
 def test_one_record_has_nowhere_to_jump():

@@ -18,7 +18,7 @@ def records_and_params(lengths=(200, 160, 120)):
 def replayer(request):
     sensors, commands, records, params = records_and_params()
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(tracker, "WINDOWS", (64, None))  # to compile less
+        patch.setattr(tracker, "WINDOWS", (64,))  # to compile less
         made = Replayer(records, params, request.param)
         made.jump, made.sensors, made.commands = request.param, sensors, commands
         yield made

@@ -261,9 +261,9 @@ def test_period_must_be_a_positive_time(period):
         Records.from_sequences(one, one, period=period)
 
 
-def test_records_are_a_pytree_of_three_arrays(records):
+def test_records_are_a_pytree_of_four_arrays(records):
     leaves, structure = jax.tree.flatten(records)
-    assert [leaf.shape for leaf in leaves] == [(2, 4, 7), (2, 4, 5), (4,)]
+    assert [leaf.shape for leaf in leaves] == [(2, 4, 7), (2, 4, 5), (4,), (2, 2)]
     assert_same(records, jax.tree.unflatten(structure, leaves))
     assert jax.tree.map(lambda _: None, records).sensor_names == records.sensor_names
 

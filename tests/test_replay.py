@@ -62,7 +62,7 @@ class Recorder(PlaneVectorEnv):
 @pytest.mark.parametrize("jump", ["same_tau", "own_tau"])
 def test_the_loop_is_predict_command_act_observe_update(records, jump, monkeypatch):
     """Every command sent is the reference's, fed what was seen before it; so is the evidence."""
-    monkeypatch.setattr(module, "WINDOWS", (None,))
+    monkeypatch.setattr(module, "WINDOWS", ())
     watched = Recorder(1, SHORT)
     result = run(records, TESTED[:1], jump, env=watched)
     sensors, commands = ([a.astype(float) for a in x] for x in records.sequences())
@@ -100,9 +100,9 @@ def test_windows_change_no_command_by_what_the_robot_could_tell(records, jump):
 
 
 def test_a_step_that_drops_too_much_is_done_again_wider(records, monkeypatch):
-    monkeypatch.setattr(module, "WINDOWS", (32, 64, None))
+    monkeypatch.setattr(module, "WINDOWS", (32, 64))
     result = run(records, TESTED[1:2], "same_tau", SHORT)
-    monkeypatch.setattr(module, "WINDOWS", (None,))
+    monkeypatch.setattr(module, "WINDOWS", ())
     whole = run(records, TESTED[1:2], "same_tau", SHORT)
     assert result.widened > 0
     assert whole.widened == 0
@@ -111,8 +111,9 @@ def test_a_step_that_drops_too_much_is_done_again_wider(records, monkeypatch):
 
 def test_a_tracker_widens_a_window_and_narrows_it_again(records, monkeypatch):
     """Blind for a while its belief spreads, and gathers again; the other replay rests."""
-    monkeypatch.setattr(module, "WINDOWS", (64, None))
-    monkeypatch.setattr(module, "DROPPABLE", -30)
+    monkeypatch.setattr(module, "WINDOWS", (64,))
+    monkeypatch.setattr(module, "RETURN_AFTER", 0)
+    monkeypatch.setattr(module, "MARGIN", 30)
     tracker = module.Tracker(records, params(2), "same_tau")
     whole, one = build_filter("same_tau", None), Params(0.1, 0.05, SIGMA)
     belief = whole.predict(records, one, whole.init(records))
