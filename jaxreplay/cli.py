@@ -3,8 +3,10 @@
 import argparse
 import sys
 from collections.abc import Sequence
+from contextlib import AbstractContextManager, nullcontext
 from io import TextIOWrapper
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import xarray as xr
@@ -12,6 +14,7 @@ from tqdm import tqdm
 
 from jaxreplay.config import ConfigError, load_config
 from jaxreplay.figures import figure_3
+from jaxreplay.machine import keep_compiled
 from jaxreplay.study import (
     OUTCOMES,
     STALLS,
@@ -23,6 +26,9 @@ from jaxreplay.study import (
     shards_of,
 )
 from jaxreplay.table import table
+
+if TYPE_CHECKING:
+    from distributed import Client
 
 DONE, MISTAKE, INTERRUPTED = 0, 2, 130
 
@@ -46,6 +52,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         type=Path,
         metavar="DIR",
         help="for demonstrations, dataset and figure (default: results/ and FILE's name)",
+    )
+    where = run.add_mutually_exclusive_group()
+    where.add_argument(
+        "--workers", type=_count, metavar="N", help="run shards in N processes on this machine"
+    )
+    where.add_argument(
+        "--scheduler", metavar="ADDRESS", help="run shards on the workers of this Dask scheduler"
     )
     run.add_argument("--dry-run", action="store_true", help="only tell how many runs it is")
     run.set_defaults(action=_run)
@@ -84,6 +97,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, TextIOWrapper):
             stream.reconfigure(errors="replace")
+    keep_compiled()
     try:
         return options.action(options)
     except ConfigError as error:
@@ -109,7 +123,8 @@ def _run(options: argparse.Namespace) -> int:
     if options.dry_run:
         return DONE
     try:
-        dataset = run_study(config, folder, _Progress(len(runs)))
+        with _client(options) as client:
+            dataset = run_study(config, folder, _Progress(len(runs)), client)
     except KeyboardInterrupt:
         print(
             "\njaxreplay: interrupted; finished shards are kept, the same command goes on",
@@ -120,6 +135,21 @@ def _run(options: argparse.Namespace) -> int:
     print(table(dataset))
     print(f"{folder}: the study, figure_3.png and figure_3.pdf")
     return DONE
+
+
+def _client(options: argparse.Namespace) -> AbstractContextManager["Client | None"]:
+    """Where to run shards; None is in this process."""
+    from jaxreplay.workers import local_workers, workers_of
+
+    if options.workers:
+        return local_workers(options.workers)
+    return workers_of(options.scheduler) if options.scheduler else nullcontext()
+
+
+def _count(text: str) -> int:
+    if not text.isdecimal() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"must be a whole number, 1 or more; got {text}")
+    return int(text)
 
 
 def _show(options: argparse.Namespace) -> int:

@@ -1,6 +1,5 @@
 """The closed loop: the filter drives an environment. The only room where both meet."""
 
-import os
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
@@ -10,6 +9,7 @@ import jax
 import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv
 
+from jaxreplay.machine import cores
 from jaxreplay.params import Params
 from jaxreplay.records import Records
 from jaxreplay.tracker import LANES, Tracker
@@ -117,7 +117,7 @@ def replay(
             gained[part], at_end[part] = chunk.advance(z[part], going[part])
 
     start(np.ones(slots, bool))
-    with ThreadPoolExecutor(os.cpu_count()) as threads:
+    with ThreadPoolExecutor(cores()) as threads:
         while going.any():
             command = np.concatenate([chunk.command for chunk in chunks])[:slots]
             z[:slots], reward, terminated, truncated, info = env.step(

@@ -2,14 +2,13 @@
 
 import hashlib
 import json
-import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict
 from importlib.metadata import version
 from itertools import product
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import jax
 import numpy as np
@@ -17,6 +16,7 @@ import xarray as xr
 
 from jaxreplay.audit import audit
 from jaxreplay.config import FACTORS, ConfigError, StudyConfig
+from jaxreplay.machine import cores
 from jaxreplay.params import Params
 from jaxreplay.plane.demonstrator import DEMONSTRATED, TESTED, facing, record
 from jaxreplay.plane.env import PlaneVectorEnv
@@ -28,9 +28,12 @@ from jaxreplay.store import claimed, manifest_of, read_manifest, read_shard, wri
 
 OUTCOMES = ("S", "Fs", "Fg", "Fb")  # as in figure 3
 STALLS = ("fixed", "cyclic", "slow")
-SLOTS = 112  # worlds that advance together
+if TYPE_CHECKING:
+    from distributed import Client
+
+SLOTS = 56  # worlds that advance together
 AUDITED = 50  # one run in so many is filtered again without windows, and compared
-SHARD = 224  # runs that are kept together once all are finished
+SHARD = 56  # runs that are kept together once all are finished
 
 
 def demonstrations(config: StudyConfig, folder: Path) -> Records:
@@ -149,14 +152,17 @@ def run_study(
     config: StudyConfig,
     folder: str | Path,
     progress: Callable[[np.ndarray], None] = lambda outcome: None,
+    client: "Client | None" = None,
 ) -> xr.Dataset:
     """Run what a folder does not hold yet of a study, shard by shard.
 
     Args:
         config: the study.
         folder: made if absent; what else lies in it is left alone.
-        progress: called after each control step with the outcome of every run of the study,
-            empty for those to come.
+        progress: called after each control step, or each shard with a client, with the outcome
+            of every run of the study, empty for those to come.
+        client: Dask's, whose workers run the shards; None runs them here. A shard comes to the
+            same bytes wherever it is run, on processors of one kind.
 
     Returns:
         What :func:`open_study` gives.
@@ -179,18 +185,37 @@ def run_study(
                 todo.append((k, which))
             else:
                 outcome[which] = held.outcome.values.astype("<U2")
-        for k, which in todo:
+        if client is None:
+            for k, which in todo:
 
-            def tell(so_far: Replays, which=which):
-                outcome[which] = outcomes(so_far)
-                progress(outcome)
+                def tell(so_far: Replays, which=which):
+                    outcome[which] = outcomes(so_far)
+                    progress(outcome)
 
-            write_shard(folder, k, manifest, _run(config, records, runs.of(which), tell))
+                write_shard(folder, k, manifest, _run(config, records, runs.of(which), tell))
+            return open_study(folder)
+
+        from distributed import as_completed
+
+        shared = client.scatter(records, broadcast=True)
+        shards = {
+            client.submit(_run, config, shared, runs.of(which), pure=False): (k, which)
+            for k, which in todo
+        }
+        for future in as_completed(shards):
+            k, which = shards[future]
+            shard = future.result()
+            write_shard(folder, k, manifest, shard)
+            outcome[which] = shard.outcome.values
+            progress(outcome)
     return open_study(folder)
 
 
 def _run(
-    config: StudyConfig, records: Records, runs: Runs, progress: Callable[[Replays], None]
+    config: StudyConfig,
+    records: Records,
+    runs: Runs,
+    progress: Callable[[Replays], None] = lambda so_far: None,
 ) -> xr.Dataset:
     params, seeds, options = setting(config, runs)
     env = PlaneVectorEnv(min(SLOTS, len(runs)))
@@ -214,7 +239,7 @@ def _run(
         found = audit(records, one, jump, np.array(replays.observations[k]))
         results["total_variation"][k], results["command_error"][k] = found
 
-    with ThreadPoolExecutor(os.cpu_count()) as threads:
+    with ThreadPoolExecutor(cores()) as threads:
         list(threads.map(audit_run, audited))
     return xr.Dataset({name: ("run", values) for name, values in results.items()})
 

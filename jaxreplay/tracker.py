@@ -1,6 +1,5 @@
 """Replays tracked together: the steps of the filter compiled as one, in windows that fit."""
 
-import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
@@ -11,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxreplay.filter import Belief, build_filter, update
+from jaxreplay.machine import cores
 from jaxreplay.params import Params
 from jaxreplay.records import Records
 from jaxreplay.scaled import LOWEST
@@ -211,7 +211,7 @@ class Tracker:
             for neighbour in {max(k - 1, 0), min(k + 1, last)} - {k}:
                 self._call(k, "move", self._room(k), nobody, self._room(neighbour))
 
-        with ThreadPoolExecutor(os.cpu_count()) as threads:
+        with ThreadPoolExecutor(cores()) as threads:
             list(threads.map(compile_for, range(last + 1)))
 
     def _narrow(self, which: np.ndarray):

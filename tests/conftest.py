@@ -1,8 +1,13 @@
+import os
+import tempfile
+
 import numpy as np
 from hypothesis import settings
 
 settings.register_profile("repeatable", deadline=None, derandomize=True)
 settings.load_profile("repeatable")
+
+os.environ["XDG_CACHE_HOME"] = tempfile.mkdtemp(prefix="jaxreplay-tests-")
 
 LENGTHS = (200, 31, 2, 1)  # one shape for most tests, so that JAX compiles once
 N_SENSORS, N_COMMANDS = 2, 2

@@ -8,7 +8,7 @@ from filter_helpers import both_readings, case, noise, params_of
 
 from jaxreplay import Params, Records
 from jaxreplay.audit import audit
-from jaxreplay.tracker import WINDOWS, Tracker, steps
+from jaxreplay.tracker import Tracker, steps
 
 SIGMA = as_float32([0.7, 2.3])
 REPLAYS, STEPS = 13, 150
@@ -54,7 +54,7 @@ def tracked(jump, order):
     """What becomes of replays tracked together: the bits of each, and how often one widened."""
     records, params, zs, going, again = replays()
     params = taken(params, order)
-    tracked, lives = Tracker(records, params, jump), [b""] * len(order)
+    tracked, lives = Tracker(records, params, jump, NARROW), [b""] * len(order)
     for z, go, restart in zip(zs[:, order], going[:, order], again[:, order], strict=True):
         tracked.restart(restart, params)
         results = *tracked.advance(z, go), tracked.command, tracked.window
@@ -63,6 +63,7 @@ def tracked(jump, order):
 
 
 ORDERS = [[9], [3, 4, 12, 0, 7, 5, 9], list(range(REPLAYS))[::-1]]
+NARROW = (128,)  # to compile less
 
 
 @both_readings
@@ -79,14 +80,14 @@ def test_other_values_compile_nothing_new(jump):
     records, params, zs, going, again = replays()
     everyone = list(range(REPLAYS))
     tracked(jump, everyone)
-    compiled = [steps(jump, w)._asdict() for w in (*WINDOWS[:4], None)]
+    compiled = [steps(jump, w)._asdict() for w in (*NARROW, None)]
     before = [{name: step._cache_size() for name, step in each.items()} for each in compiled]
     sensors, commands = records.sequences()
     sensors = [2 * s for s in (sensors[0], sensors[1][:90], sensors[2][:1], sensors[3])]
     commands = [c[: len(s)] - 1 for c, s in zip(commands, sensors, strict=True)]
     others = Records.from_sequences(sensors, commands)
     params = Params(np.full(REPLAYS, 0.3), np.zeros(REPLAYS), 2 * np.asarray(params.sigma))
-    other = Tracker(others, params, jump)
+    other = Tracker(others, params, jump, NARROW)
     for z, go, restart in zip(3 * zs, going, again, strict=True):
         other.restart(restart, params)
         other.advance(z, go)

@@ -1,109 +1,277 @@
-"""What a control step of the filter costs: dense, in a window, and in the NumPy reference.
+"""What a control step of the filter costs, against the fastest rivals we could write.
 
-    python experiments/benchmarks/filter_step.py [--replays 14] [--rounds 9] [--json FILE]
+    python experiments/benchmarks/filter_step.py [--only A] [--rounds 7] [--json FILE]
+    python experiments/benchmarks/filter_step.py --cold --scaling [--json FILE]
 
-One process, all in turn within a round, medians over rounds: machines are noisy, trust the ratios.
-The reference is float64 and written to be read: a yardstick, not the fastest NumPy there could be.
-The work is the same for all: N = 20 records of L = 1000 samples of 7 sensors, observed along one
-of them; a step is update, termination, prediction and command. The JAX batches run one replay
-after the other on one thread, as the studies do (which run one thread a core).
+A step is update, end probability, prediction and command, for a batch of replays; wall time of
+all cores, divided by replays and steps. One process, all rivals in turn within a round, medians
+over rounds; machines are noisy, trust the ratios. "CPU" is processor time a replay-step, over
+cores: it sees less of other programs, but counts threads that spin while they wait.
+
+Before it is timed, every rival is held to the float64 reference on a smaller copy of the work
+("error", of the posterior; "misses" where it is beyond what is tolerated, see `work.py`). Ours in
+windows is an approximation where the belief is wider than they are; windows are fixed here, while
+studies widen them rather than drop much (`live.py` tells what that costs).
+
+The floor is the time the error functions alone would take, one a sample and sensor. Memory is
+what the process grows by at its peak, and compiling what the first call takes longer, each in a
+fresh process.
+
+Numba comes with `pip install -e '.[benchmark]'`; without it that rival and the floor are left out.
 """
 
 import argparse
 import json
+import os
+import platform
+import re
 import time
+from concurrent.futures import ProcessPoolExecutor
+from functools import partial
+from importlib.metadata import version
+from multiprocessing import get_context
 from pathlib import Path
 
-import jax
 import numpy as np
+from rivals import CORES, numba_kernel, numba_rival, numpy_rival, ours
+from work import Rival, Work, errors, make_work, reference_beliefs
 
-from jaxreplay import Params, Records, reference
-from jaxreplay.tracker import steps
+JUMPS = ("same_tau", "own_tau")
+N_SENSORS = 7
+WORKS = {  # N, L, replays of all but the slow, and of those, warm-up steps, steps timed a round
+    "A": {"n": 20, "length": 1000, "replays": 105, "few": 4, "warm_up": 120, "steps": 4},
+    "B": {"n": 50, "length": 5000, "replays": 28, "few": 2, "warm_up": 40, "steps": 2},
+}
+SMALL = {"n": 6, "length": 1000, "replays": 1, "steps": 200}
+SLOW = ("NumPy",)
+YARDSTICK = "ours, window 64"
+SCALES = {
+    "length": (1000, 2000, 4000, 8000, 16000),
+    "n": (5, 10, 20, 40, 80),
+    "replays": (1, 8, 64, 512, 4096),
+}
 
-N, L, N_SENSORS, N_COMMANDS = 20, 1000, 7, 5
-THETA_I, THETA_TAU, SIGMA = 0.01, 0.05, 0.1
-STEPS = 5  # per measurement
+
+def all_rivals() -> dict:
+    """Each a function (work, replays) → Rival."""
+    rivals = {name: partial(ours, window=window) for name, window in windows().items()}
+    rivals["NumPy"] = numpy_rival
+    if numba_rival:
+        rivals["Numba"] = numba_kernel
+    return rivals
+
+
+def windows() -> dict[str, int | None]:
+    """Ours, by how many moments are held."""
+    return {"ours, dense": None, "ours, window 256": 256, YARDSTICK: 64}
 
 
 def main():
-    """Measure, print the table, and save it if asked."""
+    """Measure, print, and save if asked."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--replays", type=int, default=14, help="replays in a batch")
-    parser.add_argument("--rounds", type=int, default=9)
+    parser.add_argument("--only", choices=WORKS, help="one of the two works")
+    parser.add_argument("--rounds", type=int, default=7)
+    parser.add_argument("--cold", action="store_true", help="instead: memory, time to compile")
+    parser.add_argument("--scaling", action="store_true", help="instead: against L, N and batch")
     parser.add_argument("--json", type=Path, metavar="FILE")
     options = parser.parse_args()
+    names = [options.only] if options.only else list(WORKS)
 
-    rng = np.random.default_rng(0)
-    sensors = [0.02 * rng.normal(size=(L, N_SENSORS)).cumsum(0) for _ in range(N)]
-    commands = [rng.normal(size=(L, N_COMMANDS)) for _ in range(N)]
-    records = Records.from_sequences(sensors, commands)
-    rivals = {}
-    for jump in ("same_tau", "own_tau"):
-        rivals[f"reference, {jump}"] = reference_yardstick(sensors, commands, jump)
-        for window in (None, 256, 64):
-            name = "dense" if window is None else f"window {window}"
-            rivals[f"{name}, {jump}"] = jax_rival(records, sensors, jump, window, options.replays)
-
-    for rival in rivals.values():  # compile, warm caches
-        rival()
-    took = {name: [] for name in rivals}
-    for _ in range(options.rounds):
-        for name, rival in rivals.items():
-            took[name].append(rival())
-    rows = {}
-    for name, times in took.items():
-        slowest = took[f"reference, {name.rsplit(', ', 1)[1]}"]
-        ratio = float(np.median(np.array(slowest) / np.array(times)))
-        rows[name] = {
-            "us_per_replay_step": 1e6 * float(np.median(times)),
-            "lowest": 1e6 * min(times),
-            "highest": 1e6 * max(times),
-            "times_reference": ratio,
-        }
-    print(f"{'':34}{'µs a replay-step':>18}{'(lowest – highest)':>22}{'× reference':>13}")
-    for name, row in rows.items():
-        span = f"({row['lowest']:.0f} – {row['highest']:.0f})"
-        print(f"{name:34}{row['us_per_replay_step']:18.0f}{span:>22}{row['times_reference']:13.1f}")
+    saved = {"machine": machine(), "load before": os.getloadavg()}
+    print(", ".join(f"{name} {value}" for name, value in saved["machine"].items()))
+    print(f"load before: {saved['load before'][0]:.1f}")
+    if options.scaling:
+        saved["scaling"] = [scaling(what, options.rounds) for what in SCALES]
+    if options.cold:
+        saved["cold"] = {name: cold_table(name) for name in names}
+    if not (options.scaling or options.cold):
+        saved |= speed(names, options.rounds)
+    saved["load after"] = os.getloadavg()
+    print(f"load after: {saved['load after'][0]:.1f}")
     if options.json:
-        machine = {"jax": jax.__version__, "numpy": np.__version__, "device": str(jax.devices()[0])}
-        options.json.write_text(json.dumps({"machine": machine, "rows": rows}, indent=1))
+        options.json.write_text(json.dumps(saved, indent=1))
 
 
-def jax_rival(records, sensors, jump, window, replays):
-    """A function that advances a batch by STEPS and returns seconds per replay-step."""
-    sigma = np.full((replays, N_SENSORS), SIGMA)
-    params = Params(np.full(replays, THETA_I), np.full(replays, THETA_TAU), sigma)
-    compiled = steps(jump, window)
-    on = np.ones(replays, dtype=bool)
-    seen = [np.tile(records.centre(sensors[0][t]), (replays, 1)) for t in range(STEPS)]
-    first, _ = compiled.begin(records, params)
+def speed(names: list[str], rounds: int) -> dict:
+    """All rivals' errors and times, and the floor."""
+    if not numba_rival:
+        print("Numba is not installed: its rival and the floor are left out.")
+    found = {jump: accuracy(jump) for jump in JUMPS}
+    saved = {"errors": found, "floor": {}}
+    per_error_function = error_function_seconds() if numba_rival else None
+    for name in names:
+        saved[name] = [table(name, jump, found[jump], rounds) for jump in JUMPS]
+        if numba_rival:
+            saved["floor"][name] = floor(name, per_error_function)
+    return saved
 
-    def run():
-        belief = first
+
+def machine() -> dict[str, str | int]:
+    """What the numbers depend on."""
+    cpu = re.search(r"model name\s*: (.*)", Path("/proc/cpuinfo").read_text())
+    packages = ("jax", "jaxlib", "numpy", "scipy", *(("numba",) if numba_rival else ()))
+    return {
+        "CPU": cpu[1] if cpu else platform.processor(),
+        "cores": CORES,
+        "Python": platform.python_version(),
+        **{name: version(name) for name in packages},
+    }
+
+
+def accuracy(jump: str) -> dict[str, dict[str, float]]:
+    """Every rival's errors on the small work."""
+    work = make_work(jump, **SMALL)
+    truth = list(reference_beliefs(work))
+    found = {}
+    for name, make in all_rivals().items():
+        found[name] = errors(make(work, 1), work, truth)
+        error = found[name]
+        error["held"] = error["posterior"] <= 1e-9 if name in SLOW else error["share"] <= 1
+    return found
+
+
+def table(name: str, jump: str, found: dict, rounds: int) -> dict:
+    """Time all rivals on a work, in turn, and print."""
+    told = WORKS[name]
+    steps, warm_up = told["steps"], told["warm_up"]
+    total = warm_up + rounds * steps
+    work = make_work(jump, told["n"], told["length"], told["replays"], total)
+    running, took = {}, {}
+    for rival_name, make in all_rivals().items():
+        replays = told["few" if rival_name in SLOW else "replays"]
+        rival = make(work, replays)
+        state, _ = advance(rival, rival.begin(), work, range(warm_up))
+        running[rival_name], took[rival_name] = [rival, state, replays], []
+    for r in range(rounds):
+        at = range(warm_up + r * steps, warm_up + (r + 1) * steps)
+        for rival_name, (rival, state, replays) in running.items():
+            running[rival_name][1], seconds = advance(rival, state, work, at)
+            took[rival_name].append(np.array(seconds) / steps / replays)
+
+    print(f"\nWork {name}, {jump}: N = {told['n']}, L = {told['length']}, n_s = {N_SENSORS};")
+    print(f"{told['replays']} replays ({', '.join(SLOW)}: {told['few']}), µs a replay-step")
+    print(f"{'':18}{'median':>9}{'lowest – highest':>20}{'CPU':>9}", end="")
+    print(f"{'× ' + YARDSTICK:>19}{'× NumPy':>10}{'error':>10}")
+    rows = {}
+    for rival_name, times in took.items():
+        wall, cpu = 1e6 * np.transpose(times)
+        error = found[rival_name]
+        rows[rival_name] = row = {
+            "replays": running[rival_name][2],
+            "us_per_replay_step": float(np.median(wall)),
+            "lowest": float(wall.min()),
+            "highest": float(wall.max()),
+            "cpu_us": float(np.median(cpu)) / CORES,
+            "times_yardstick": ratio(times, took[YARDSTICK]),
+            "times_numpy": ratio(times, took["NumPy"]),
+        }
+        span = f"{row['lowest']:.0f} – {row['highest']:.0f}"
+        print(f"{rival_name:18}{row['us_per_replay_step']:9.0f}{span:>20}", end="")
+        print(f"{row['cpu_us']:9.0f}{row['times_yardstick']:19.2f}", end="")
+        print(f"{row['times_numpy']:10.3f}{error['posterior']:10.0e}", end="")
+        print("" if error["held"] else "  misses")
+    return {"jump": jump, "work": told, "rows": rows}
+
+
+def ratio(times: list, others: list) -> float:
+    """The median over rounds of how many times slower than another rival."""
+    return float(np.median(np.array(times)[:, 0] / np.array(others)[:, 0]))
+
+
+def advance(rival: Rival, state, work: Work, at: range):
+    """The state after some steps; wall and processor seconds they took."""
+    wall, cpu = time.perf_counter(), time.process_time()
+    for t in at:
+        state, *_ = rival.advance(state, work.observations[t])
+    return state, (time.perf_counter() - wall, time.process_time() - cpu)
+
+
+def error_function_seconds() -> float:
+    """Of one float32 error function in a loop that does nothing else, on all cores at once."""
+    took = []
+    for _ in range(50):
         start = time.perf_counter()
-        for z in seen:
-            belief, *_ = compiled.advance(records, params, belief, z, on)
-        jax.block_until_ready(belief)
-        return (time.perf_counter() - start) / STEPS / replays
-
-    return run
+        done = numba_rival.only_tails(20 * CORES)
+        took.append((time.perf_counter() - start) / done)
+    return min(took)
 
 
-def reference_yardstick(sensors, commands, jump):
-    """The same for one replay under the float64 reference, vectorised along records."""
-    sigma = np.full(N_SENSORS, SIGMA)
+def floor(name: str, seconds: float) -> dict[str, float]:
+    """Print what the error functions of a step alone would take."""
+    told, found = WORKS[name], {"ns_per_error_function": 1e9 * seconds}
+    print(f"Floor: at {1e9 * seconds:.2f} ns an error function, all cores:", end="")
+    for rival_name, window in windows().items():
+        held = min(window or told["length"], told["length"])
+        found[rival_name] = 1e6 * seconds * told["n"] * held * N_SENSORS
+        print(f" {rival_name.removeprefix('ours, ')} {found[rival_name]:.0f} µs;", end="")
+    print()
+    return found
 
-    def run():
-        belief = reference.predict(sensors, THETA_I, THETA_TAU, reference.initial(sensors), jump)
+
+def cold_table(name: str) -> dict[str, dict[str, float]]:
+    """Print memory and compile time of ours, each in a process of its own."""
+    told, found = WORKS[name], {}
+    print(f"\nWork {name}, {told['replays']} replays")
+    for jump in JUMPS:
+        for rival_name, window in windows().items():
+            with ProcessPoolExecutor(1, get_context("spawn")) as process:
+                told_to = (jump, told["n"], told["length"], told["replays"], window)
+                row = found[f"{rival_name}, {jump}"] = process.submit(cold, *told_to).result()
+            print(f"{rival_name + ', ' + jump:28}{row['compile_s']:6.1f} s to compile", end="")
+            print(f"{row['memory_mib']:8.0f} MiB more at the peak")
+    return found
+
+
+def cold(jump: str, n: int, length: int, replays: int, window: int | None) -> dict[str, float]:
+    """Compile time, and growth of the process, from the first step to the third."""
+    work = make_work(jump, n, length, replays, 3)
+    rival = ours(work, replays, window)
+    before = peak_memory()
+    seconds, state = [], None
+    for z in work.observations:
         start = time.perf_counter()
-        for t in range(STEPS):
-            belief, _ = reference.update(sensors, sigma, belief, sensors[0][t])
-            reference.end_probability(sensors, belief)
-            belief = reference.predict(sensors, THETA_I, THETA_TAU, belief, jump)
-            reference.command(commands, belief)
-        return (time.perf_counter() - start) / STEPS
+        state, *_ = rival.advance(state or rival.begin(), z)
+        seconds.append(time.perf_counter() - start)
+    return {
+        "compile_s": seconds[0] - min(seconds[1:]),
+        "memory_mib": (peak_memory() - before) / 1024,
+    }
 
-    return run
+
+def peak_memory() -> int:
+    """The most this process has held, KiB; ru_maxrss would start at its parent's."""
+    return int(re.search(r"VmHWM:\s*(\d+)", Path("/proc/self/status").read_text())[1])
+
+
+def scaling(what: str, rounds: int) -> dict:
+    """Time ours with one size of work A varied, and print."""
+    base = {"n": 20, "length": 1000, "replays": 14}
+    print(f"\nµs a replay-step (same_tau) against {what}, else {base}")
+    print(f"{what:>18}" + "".join(f"{value:>10}" for value in SCALES[what]))
+    found = {}
+    for name, window in windows().items():
+        print(f"{name:18}", end="", flush=True)
+        found[name] = {}
+        for value in SCALES[what]:
+            told = base | {what: value}
+            if window is None and told["replays"] > 512:  # some minutes
+                print(f"{'–':>10}", end="")
+                continue
+            work = make_work("same_tau", steps=rounds + 1, **told)
+            rival = ours(work, told["replays"], window)
+            state, _ = advance(rival, rival.begin(), work, range(1))
+            took = []
+            for t in range(1, rounds + 1):
+                state, (seconds, _) = advance(rival, state, work, range(t, t + 1))
+                took.append(1e6 * seconds / told["replays"])
+            found[name][value] = {
+                "us_per_replay_step": float(np.median(took)),
+                "lowest": min(took),
+                "highest": max(took),
+            }
+            print(f"{np.median(took):10.0f}", end="", flush=True)
+        print()
+    return {"what": what, "else": base, "rows": found}
 
 
 if __name__ == "__main__":
