@@ -9,6 +9,7 @@ from distributed import Client, LocalCluster, Worker, WorkerPlugin
 
 from jaxreplay.machine import keep_compiled
 
+PATIENCE = 10  # seconds, for a scheduler to answer
 # glibc gives memory back that the next step asks for again, and Dask asks it to do so at once: a
 # third of a step's time went into that.
 _KEEP_MEMORY = {"MALLOC_TRIM_THRESHOLD_": 2**30, "MALLOC_MMAP_THRESHOLD_": 2**30}
@@ -37,7 +38,11 @@ def workers_of(scheduler: str) -> Iterator[Client]:
     Raises:
         OSError: no scheduler answers there.
     """
-    with Client(scheduler, timeout=10) as client:
+    try:
+        client = Client(scheduler, timeout=PATIENCE)
+    except (OSError, ValueError) as error:
+        raise OSError(f"no Dask scheduler at {scheduler}: {error}") from None
+    with client:
         yield client
 
 

@@ -4,9 +4,8 @@
     python experiments/benchmarks/filter_step.py --cold --scaling [--json FILE]
 
 A step is update, end probability, prediction and command, for a batch of replays; wall time of
-all cores, divided by replays and steps. One process, all rivals in turn within a round, medians
-over rounds; machines are noisy, trust the ratios. "CPU" is processor time a replay-step, over
-cores: it sees less of other programs, but counts threads that spin while they wait.
+all cores, divided by replays and steps. All rivals in turn within a round, medians
+over rounds; machines are noisy, trust the ratios.
 
 Before it is timed, every rival is held to the float64 reference on a smaller copy of the work
 ("error", of the posterior; "misses" where it is beyond what is tolerated, see `work.py`). Ours in
@@ -33,14 +32,14 @@ from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
-from rivals import CORES, numba_kernel, numba_rival, numpy_rival, ours
+from rivals import CORES, Share, numba_kernel, numba_rival, numpy_rival, ours
 from work import Rival, Work, errors, make_work, reference_beliefs
 
 JUMPS = ("same_tau", "own_tau")
 N_SENSORS = 7
 WORKS = {  # N, L, replays of all but the slow, and of those, warm-up steps, steps timed a round
-    "A": {"n": 20, "length": 1000, "replays": 105, "few": 4, "warm_up": 120, "steps": 4},
-    "B": {"n": 50, "length": 5000, "replays": 28, "few": 2, "warm_up": 40, "steps": 2},
+    "A": {"n": 20, "length": 1000, "replays": 105, "few": 4, "warm_up": 120, "steps": 20},
+    "B": {"n": 50, "length": 5000, "replays": 28, "few": 2, "warm_up": 40, "steps": 4},
 }
 SMALL = {"n": 6, "length": 1000, "replays": 1, "steps": 200}
 SLOW = ("NumPy",)
@@ -146,28 +145,27 @@ def table(name: str, jump: str, found: dict, rounds: int) -> dict:
         at = range(warm_up + r * steps, warm_up + (r + 1) * steps)
         for rival_name, (rival, state, replays) in running.items():
             running[rival_name][1], seconds = advance(rival, state, work, at)
-            took[rival_name].append(np.array(seconds) / steps / replays)
+            took[rival_name].append(seconds / steps / replays)
 
     print(f"\nWork {name}, {jump}: N = {told['n']}, L = {told['length']}, n_s = {N_SENSORS};")
     print(f"{told['replays']} replays ({', '.join(SLOW)}: {told['few']}), µs a replay-step")
-    print(f"{'':18}{'median':>9}{'lowest – highest':>20}{'CPU':>9}", end="")
+    print(f"{'':18}{'median':>9}{'lowest – highest':>20}", end="")
     print(f"{'× ' + YARDSTICK:>19}{'× NumPy':>10}{'error':>10}")
     rows = {}
     for rival_name, times in took.items():
-        wall, cpu = 1e6 * np.transpose(times)
+        wall = 1e6 * np.array(times)
         error = found[rival_name]
         rows[rival_name] = row = {
             "replays": running[rival_name][2],
             "us_per_replay_step": float(np.median(wall)),
             "lowest": float(wall.min()),
             "highest": float(wall.max()),
-            "cpu_us": float(np.median(cpu)) / CORES,
             "times_yardstick": ratio(times, took[YARDSTICK]),
             "times_numpy": ratio(times, took["NumPy"]),
         }
         span = f"{row['lowest']:.0f} – {row['highest']:.0f}"
         print(f"{rival_name:18}{row['us_per_replay_step']:9.0f}{span:>20}", end="")
-        print(f"{row['cpu_us']:9.0f}{row['times_yardstick']:19.2f}", end="")
+        print(f"{row['times_yardstick']:19.2f}", end="")
         print(f"{row['times_numpy']:10.3f}{error['posterior']:10.0e}", end="")
         print("" if error["held"] else "  misses")
     return {"jump": jump, "work": told, "rows": rows}
@@ -175,15 +173,15 @@ def table(name: str, jump: str, found: dict, rounds: int) -> dict:
 
 def ratio(times: list, others: list) -> float:
     """The median over rounds of how many times slower than another rival."""
-    return float(np.median(np.array(times)[:, 0] / np.array(others)[:, 0]))
+    return float(np.median(np.array(times) / np.array(others)))
 
 
 def advance(rival: Rival, state, work: Work, at: range):
-    """The state after some steps; wall and processor seconds they took."""
-    wall, cpu = time.perf_counter(), time.process_time()
+    """The state after some steps, and the seconds they took."""
+    start = time.perf_counter()
     for t in at:
         state, *_ = rival.advance(state, work.observations[t])
-    return state, (time.perf_counter() - wall, time.process_time() - cpu)
+    return state, time.perf_counter() - start
 
 
 def error_function_seconds() -> float:
@@ -225,12 +223,13 @@ def cold_table(name: str) -> dict[str, dict[str, float]]:
 def cold(jump: str, n: int, length: int, replays: int, window: int | None) -> dict[str, float]:
     """Compile time, and growth of the process, from the first step to the third."""
     work = make_work(jump, n, length, replays, 3)
-    rival = ours(work, replays, window)
-    before = peak_memory()
-    seconds, state = [], None
-    for z in work.observations:
+    share, before = Share(work, replays, window), peak_memory()
+    seconds = []
+    for t, z in enumerate(work.observations):
         start = time.perf_counter()
-        state, *_ = rival.advance(state or rival.begin(), z)
+        if t == 0:
+            share.begin()
+        share.advance(z)
         seconds.append(time.perf_counter() - start)
     return {
         "compile_s": seconds[0] - min(seconds[1:]),
@@ -262,7 +261,7 @@ def scaling(what: str, rounds: int) -> dict:
             state, _ = advance(rival, rival.begin(), work, range(1))
             took = []
             for t in range(1, rounds + 1):
-                state, (seconds, _) = advance(rival, state, work, range(t, t + 1))
+                state, seconds = advance(rival, state, work, range(t, t + 1))
                 took.append(1e6 * seconds / told["replays"])
             found[name][value] = {
                 "us_per_replay_step": float(np.median(took)),

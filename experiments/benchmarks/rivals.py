@@ -1,6 +1,6 @@
 """Ours and its rivals for `filter_step.py`, each on all cores.
 
-- **ours**: what the studies call, `jaxreplay.tracker.Tracker`, some replays each, a thread a core.
+- **ours**: what the studies call, `jaxreplay.tracker.Tracker`, a process a core.
 - **NumPy**: float64, a replay a thread, arrays over records and moments and SciPy's erfc once a
   sample and sensor. Plain probabilities, faster than logarithms: what falls below 1e-308 is
   lost, which at ordinary distances matters to no digit shown.
@@ -9,6 +9,8 @@
 
 import os
 from concurrent.futures import ThreadPoolExecutor
+from multiprocessing import get_context
+from multiprocessing.connection import Connection
 
 import numpy as np
 from scipy.special import erfc
@@ -37,40 +39,79 @@ def records_of(work: Work) -> Records:
 
 
 def ours(work: Work, replays: int, window: int | None) -> Rival:
-    """The filter as the studies run it, but in windows of one width, whatever they drop."""
-    records = records_of(work)
-    size = min(LANES, -(-replays // CORES))
+    """The filter as `jaxreplay run --workers` runs it, but in windows of one width.
+
+    What they drop is not looked at. A process a core, each with its share of the replays.
+    """
+    size = -(-replays // CORES)
     parts = [slice(i, min(i + size, replays)) for i in range(0, replays, size)]
-    n_sensors = work.sensors.shape[-1]
-    params = Params(
-        np.full(size, THETA_I), np.full(size, THETA_TAU), np.full((size, n_sensors), SIGMA)
-    )
-    posterior = build_filter(work.jump, window).posterior
+    context, ends = get_context("spawn"), []
+    for core, part in enumerate(parts):
+        mine, theirs = context.Pipe()
+        share = (work._replace(observations=None), part.stop - part.start, window)
+        context.Process(target=_serve, args=(theirs, core, *share), daemon=True).start()
+        ends.append(mine)
 
-    def begin():
-        trackers = []
-        for _ in parts:
-            tracker = Tracker(records, params, work.jump, () if window is None else (window,))
+    def ask(what, *shares):
+        for end, *share in zip(ends, *shares, strict=True):
+            end.send((what, *share))
+        return [end.recv() for end in ends]
+
+    def advance(state, z):
+        command, ended = zip(*ask("advance", [z[part] for part in parts]), strict=True)
+        return state, np.concatenate(command), np.concatenate(ended)
+
+    return Rival(lambda: ask("begin"), advance, lambda state: ask("belief")[0])
+
+
+def _serve(end: Connection, core: int, *share):
+    """In a process of its own: begin, advance or tell the belief, as asked."""
+    if hasattr(os, "sched_setaffinity"):
+        os.sched_setaffinity(0, {core})
+    run = Share(*share)
+    while True:
+        try:
+            what, *given = end.recv()
+        except EOFError:
+            return
+        end.send(getattr(run, what)(*given))
+
+
+class Share:
+    """What one process does of a batch."""
+
+    def __init__(self, work: Work, replays: int, window: int | None):
+        """The records and parameters."""
+        self._records, self._replays, self._size = records_of(work), replays, min(LANES, replays)
+        sigma = np.full((self._size, self._records.n_sensors), SIGMA)
+        theta_i, theta_tau = np.full(self._size, THETA_I), np.full(self._size, THETA_TAU)
+        self._params, self._jump = Params(theta_i, theta_tau, sigma), work.jump
+        self._windows = () if window is None else (window,)
+        self._posterior = build_filter(work.jump, window).posterior
+
+    def begin(self):
+        """Replays at their start."""
+        self._trackers = [
+            Tracker(self._records, self._params, self._jump, self._windows)
+            for _ in range(0, self._replays, self._size)
+        ]
+        for tracker in self._trackers:
             tracker.droppable[:] = ANYTHING
-            trackers.append(tracker)
-        return trackers
 
-    def advance_part(tracker, part, z):
-        going = np.arange(size) < part.stop - part.start
-        lanes = np.zeros((size, n_sensors))
-        lanes[going] = z[part]
-        _, ended = tracker.advance(lanes, going)
-        return tracker.command[going], ended[going]
+    def advance(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Commands and p(end)."""
+        n = len(self._trackers)
+        lanes = np.zeros((n * self._size, self._records.n_sensors))
+        lanes[: self._replays] = z
+        going = np.arange(len(lanes)) < self._replays
+        each = zip(self._trackers, np.split(lanes, n), np.split(going, n), strict=True)
+        ended = np.concatenate([tracker.advance(*given)[1] for tracker, *given in each])
+        command = np.concatenate([tracker.command for tracker in self._trackers])
+        return command[: self._replays], ended[: self._replays]
 
-    def advance(trackers, z):
-        done = _threads.map(advance_part, trackers, parts, [z] * len(parts))
-        command, ended = zip(*done, strict=True)
-        return trackers, np.concatenate(command), np.concatenate(ended)
-
-    def belief(trackers):
-        return np.asarray(posterior(records, trackers[0].belief(0)))
-
-    return Rival(begin, advance, belief)
+    def belief(self) -> np.ndarray:
+        """The first replay's, `[N, L]`."""
+        return np.asarray(self._posterior(self._records, self._trackers[0].belief(0)))
 
 
 def numpy_rival(work: Work, replays: int) -> Rival:

@@ -1,0 +1,64 @@
+import os
+import signal
+
+import pytest
+import xarray as xr
+
+from jaxreplay import cli, open_study, study, workers
+from jaxreplay.config import load_config
+from jaxreplay.workers import local_workers
+
+TEXT = """
+seed = 4
+repeats = 1
+theta_i = 0.01
+jump = "own_tau"
+[axis]
+motor_unit = [0.002]
+"""
+
+
+@pytest.fixture
+def config(tmp_path):
+    path = tmp_path / "study.toml"
+    path.write_text(TEXT)
+    return path
+
+
+@pytest.mark.slow
+def test_workers_come_to_the_same_bytes_though_one_is_killed(config, tmp_path, monkeypatch):
+    monkeypatch.setattr(study, "SHARD", 2)
+    alone, killed = study.run_study(load_config(config), tmp_path / "alone"), []
+
+    with local_workers(2) as client:
+
+        def kill_a_busy_one(outcome):
+            busy = [worker for worker, tasks in client.processing().items() if tasks]
+            if busy and not killed:
+                killed.append(client.run(os.getpid)[busy[0]])
+                os.kill(killed[0], signal.SIGKILL)
+
+        together = study.run_study(
+            load_config(config), tmp_path / "together", kill_a_busy_one, client
+        )
+    assert killed
+    xr.testing.assert_identical(together, alone)
+    for path in (tmp_path / "alone" / "shards").iterdir():
+        assert path.read_bytes() == (tmp_path / "together" / "shards" / path.name).read_bytes()
+    assert (open_study(tmp_path / "together").outcome != "").all()
+
+
+def test_a_scheduler_that_does_not_answer_is_told(config, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(workers, "PATIENCE", 0.1)
+    told = ["run", str(config), "--out", str(tmp_path), "--scheduler", "tcp://127.0.0.1:1"]
+    assert cli.main(told) == 2
+    error = capsys.readouterr().err
+    assert "no Dask scheduler at tcp://127.0.0.1:1" in error
+    assert "Traceback" not in error
+
+
+@pytest.mark.parametrize("told", [["--workers", "0"], ["--workers", "2", "--scheduler", "x"]])
+def test_workers_that_make_no_sense_are_refused(config, told):
+    with pytest.raises(SystemExit) as stop:
+        cli.main(["run", str(config), *told])
+    assert stop.value.code == 2
