@@ -16,7 +16,17 @@ from jaxreplay.records import Records
 from jaxreplay.scaled import LOWEST
 from jaxreplay.window import NOTHING, resize
 
-WINDOWS = (128, 256, 384, 512, 768)  # moments of each record held, if not all
+WINDOWS = (
+    128,
+    256,
+    384,
+    512,
+    768,
+    1152,
+    1728,
+    2592,
+    3888,
+)  # moments of each record held, if not all
 LANES = 28  # replays that are advanced in one call, so that one program serves all
 NARROW_EVERY = 32  # steps
 # A step may drop a hypothesis at its window's edges that is so far behind that it would take as

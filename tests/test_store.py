@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from jaxreplay import cli, open_study, study
+from jaxreplay import cli, open_study, study, tracker
 from jaxreplay.config import ConfigError, load_config
 from jaxreplay.store import claimed, read_manifest, read_shard, write_shard
 
@@ -22,10 +22,19 @@ jump = ["own_tau"]
 """
 SCRIPT = """
 import sys
-from jaxreplay import cli, study
+from jaxreplay import cli, study, tracker
+tracker.WINDOWS = (256,)
 study.SHARD, study.audit = 2, lambda *replay: (0.0, 0.0)
 sys.exit(cli.main(["run", sys.argv[1], "--out", sys.argv[2]]))
 """
+
+
+@pytest.fixture(scope="module", autouse=True)
+def fewer_windows():
+    """To compile less."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(tracker, "WINDOWS", (256,))
+        yield
 
 
 @pytest.fixture(scope="module")

@@ -3,7 +3,7 @@ import pytest
 import xarray as xr
 
 import jaxreplay as jr
-from jaxreplay import cli
+from jaxreplay import cli, tracker
 from jaxreplay.config import FACTORS, ConfigError, StudyConfig, load_config
 from jaxreplay.figures import figure_3
 from jaxreplay.plane.demonstrator import TESTED, facing
@@ -33,6 +33,14 @@ def write(folder, text, name="study.toml"):
     path = folder / name
     path.write_text(text)
     return path
+
+
+@pytest.fixture(scope="module", autouse=True)
+def fewer_windows():
+    """To compile less."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(tracker, "WINDOWS", (256,))
+        yield
 
 
 @pytest.fixture(scope="module")
