@@ -2,8 +2,9 @@
 
 import argparse
 import sys
-from collections.abc import Sequence
-from contextlib import AbstractContextManager, nullcontext
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
+from functools import partial
 from io import TextIOWrapper
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -28,7 +29,7 @@ from jaxreplay.study import (
 from jaxreplay.table import table
 
 if TYPE_CHECKING:
-    from distributed import Client
+    from jaxreplay.workers import RunEach
 
 DONE, MISTAKE, INTERRUPTED = 0, 2, 130
 
@@ -123,8 +124,7 @@ def _run(options: argparse.Namespace) -> int:
     if options.dry_run:
         return DONE
     try:
-        with _client(options) as client:
-            dataset = run_study(config, folder, _Progress(len(runs)), client)
+        dataset = run_study(config, folder, _Progress(len(runs)), _workers(options))
     except KeyboardInterrupt:
         print(
             "\njaxreplay: interrupted; finished shards are kept, the same command goes on",
@@ -137,13 +137,15 @@ def _run(options: argparse.Namespace) -> int:
     return DONE
 
 
-def _client(options: argparse.Namespace) -> AbstractContextManager["Client | None"]:
-    """Where to run shards; None is in this process."""
+def _workers(options: argparse.Namespace) -> "Callable[[], AbstractContextManager[RunEach]] | None":
+    """What opens the processes to run shards in; None is in this one."""
+    if not (options.workers or options.scheduler):
+        return None
     from jaxreplay.workers import local_workers, workers_of
 
     if options.workers:
-        return local_workers(options.workers)
-    return workers_of(options.scheduler) if options.scheduler else nullcontext()
+        return partial(local_workers, options.workers)
+    return partial(workers_of, options.scheduler)
 
 
 def _count(text: str) -> int:

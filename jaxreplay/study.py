@@ -2,13 +2,14 @@
 
 import hashlib
 import json
+import platform
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from contextlib import AbstractContextManager
 from dataclasses import asdict
 from importlib.metadata import version
 from itertools import product
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax
 import numpy as np
@@ -16,7 +17,6 @@ import xarray as xr
 
 from jaxreplay.audit import audit
 from jaxreplay.config import FACTORS, ConfigError, StudyConfig
-from jaxreplay.machine import cores
 from jaxreplay.params import Params
 from jaxreplay.plane.demonstrator import DEMONSTRATED, TESTED, facing, record
 from jaxreplay.plane.env import PlaneVectorEnv
@@ -26,14 +26,13 @@ from jaxreplay.records import Records
 from jaxreplay.replay import Replays, replay
 from jaxreplay.store import claimed, manifest_of, read_manifest, read_shard, write_shard
 
+if TYPE_CHECKING:
+    from jaxreplay.workers import RunEach
+
 OUTCOMES = ("S", "Fs", "Fg", "Fb")  # as in figure 3
 STALLS = ("fixed", "cyclic", "slow")
-if TYPE_CHECKING:
-    from distributed import Client
-
 SLOTS = 56  # worlds that advance together
-AUDITED = 50  # one run in so many is filtered again without windows, and compared
-SHARD = 56  # runs that are kept together once all are finished
+SHARD = 56  # runs that are kept together once all are finished; the first of them is audited
 
 
 def demonstrations(config: StudyConfig, folder: Path) -> Records:
@@ -152,17 +151,18 @@ def run_study(
     config: StudyConfig,
     folder: str | Path,
     progress: Callable[[np.ndarray], None] = lambda outcome: None,
-    client: "Client | None" = None,
+    workers: "Callable[[], AbstractContextManager[RunEach]] | None" = None,
 ) -> xr.Dataset:
     """Run what a folder does not hold yet of a study, shard by shard.
 
     Args:
         config: the study.
         folder: made if absent; what else lies in it is left alone.
-        progress: called after each control step, or each shard with a client, with the outcome
-            of every run of the study, empty for those to come.
-        client: Dask's, whose workers run the shards; None runs them here. A shard comes to the
-            same bytes wherever it is run, on processors of one kind.
+        progress: called after each control step, or each shard that a worker did, with the
+            outcome of every run of the study, empty for those to come.
+        workers: what opens processes to run shards in (see :mod:`jaxreplay.workers`); None runs
+            them here. A shard comes to the same bytes wherever it is run, on processors of one
+            kind.
 
     Returns:
         What :func:`open_study` gives.
@@ -170,7 +170,8 @@ def run_study(
     Raises:
         ConfigError: the demonstrations named by the config do not fit; the folder holds
             another study; another process is at work in it.
-        OSError: the folder cannot be written. What was finished before is kept.
+        OSError: the folder cannot be written; workers cannot be reached, or were lost. What was
+            finished before is kept.
     """
     folder = Path(folder)
     records = demonstrations(config, folder)
@@ -178,37 +179,45 @@ def run_study(
     runs = runs_of(config)
     outcome = np.full(len(runs), "", "<U2")
     with claimed(folder, manifest):
-        todo = []
+        todo = {}
         for k, which in enumerate(shards_of(runs)):
             held = read_shard(folder, k, manifest, _ABOUT)
             if held is None:
-                todo.append((k, which))
+                todo[k] = which
             else:
                 outcome[which] = held.outcome.values.astype("<U2")
-        if client is None:
-            for k, which in todo:
+        if workers is None:
+            for k, which in todo.items():
 
                 def tell(so_far: Replays, which=which):
                     outcome[which] = outcomes(so_far)
                     progress(outcome)
 
                 write_shard(folder, k, manifest, _run(config, records, runs.of(which), tell))
-            return open_study(folder)
-
-        from distributed import as_completed
-
-        shared = client.scatter(records, broadcast=True)
-        shards = {
-            client.submit(_run, config, shared, runs.of(which), pure=False): (k, which)
-            for k, which in todo
-        }
-        for future in as_completed(shards):
-            k, which = shards[future]
-            shard = future.result()
-            write_shard(folder, k, manifest, shard)
-            outcome[which] = shard.outcome.values
-            progress(outcome)
+        elif todo:
+            calls = {k: (config, records, runs.of(which), manifest) for k, which in todo.items()}
+            with workers() as run_each:
+                for k, shard in run_each(_run_elsewhere, calls):
+                    write_shard(folder, k, manifest, shard)
+                    outcome[todo[k]] = shard.outcome.values
+                    progress(outcome)
     return open_study(folder)
+
+
+def _run_elsewhere(
+    config: StudyConfig, records: Records, runs: Runs, manifest: dict[str, Any]
+) -> xr.Dataset:
+    """In a worker, which may have been set up otherwise."""
+    for what, here in (
+        ("jaxreplay", version("jaxreplay")),
+        ("dtype", str(jax.dtypes.canonicalize_dtype(np.float64))),
+    ):
+        if here != manifest[what]:
+            raise ConfigError(
+                f"a worker on {platform.node()} has {what} {here}; this study needs "
+                f"{manifest[what]}"
+            )
+    return _run(config, records, runs)
 
 
 def _run(
@@ -220,8 +229,7 @@ def _run(
     params, seeds, options = setting(config, runs)
     env = PlaneVectorEnv(min(SLOTS, len(runs)))
     jump = str(runs.values["jump"][0])
-    audited = range(0, len(runs), AUDITED)
-    replays = replay(records, params, env, jump, seeds, options, audited, progress)
+    replays = replay(records, params, env, jump, seeds, options, [0], progress)
     outcome = outcomes(replays)
     results = {
         "outcome": outcome,
@@ -233,14 +241,9 @@ def _run(
         "total_variation": np.full(len(runs), np.nan),
         "command_error": np.full(len(runs), np.nan),
     }
-
-    def audit_run(k: int):
-        one = jax.tree.map(lambda x: x[k], params)
-        found = audit(records, one, jump, np.array(replays.observations[k]))
-        results["total_variation"][k], results["command_error"][k] = found
-
-    with ThreadPoolExecutor(cores()) as threads:
-        list(threads.map(audit_run, audited))
+    first = jax.tree.map(lambda x: x[0], params)
+    found = audit(records, first, jump, np.array(replays.observations[0]))
+    results["total_variation"][0], results["command_error"][0] = found
     return xr.Dataset({name: ("run", values) for name, values in results.items()})
 
 
@@ -279,10 +282,10 @@ def open_study(folder: str | Path) -> xr.Dataset:
 
     Returns:
         Variables `outcome` (S, Fs, Fg or Fb), `stall` (fixed, cyclic or slow for an Fs),
-        `alignment_error` (mm, NaN unless S), `duration` (s), `log_evidence`, and, of one run in
-        `AUDITED`, `total_variation` and `command_error` (see :mod:`jaxreplay.audit`), over the
-        axes of the study, `position` and `repeat`. Runs that are missing have an empty outcome
-        and NaN.
+        `alignment_error` (mm, NaN unless S), `duration` (s), `log_evidence`,
+        `widened` (steps done again in a wider window), and, of the first run of each shard,
+        `total_variation` and `command_error` (see :mod:`jaxreplay.audit`), over the axes of the
+        study, `position` and `repeat`. Runs that are missing have an empty outcome and NaN.
 
     Raises:
         FileNotFoundError: there is no study in the folder.

@@ -169,7 +169,7 @@ class Tracker:
         self.params = params
         low, high = np.asarray(self.records.span, float)
         told = np.sum(((high - low) / params.sigma) ** 2, axis=1) / (2 * np.log(2))
-        self.droppable = np.maximum(-RETURN_AFTER * told - MARGIN, LOWEST).astype(np.int32)
+        self.droppable = np.maximum(-RETURN_AFTER * told - MARGIN, LOWEST - 1).astype(np.int32)
         command = self._do(0, "begin", which, params)
         self.command[which] = np.asarray(command)[which]
         self.window[which] = self.widened[which] = self._taken[which] = 0
@@ -216,11 +216,12 @@ class Tracker:
         last = len(self.windows) - 1
 
         def compile_for(k: int):
-            self._call(k, "begin", self._room(k), nobody, self.params)
+            _lane_of(self._room(k), 0)
             self._call(k, "advance", self._room(k), nobody, self.params, z, self.droppable)
             for neighbour in {max(k - 1, 0), min(k + 1, last)} - {k}:
                 self._call(k, "move", self._room(k), nobody, self._room(neighbour))
 
+        self._call(0, "begin", self._room(0), nobody, self.params)
         with ThreadPoolExecutor(cores()) as threads:
             list(threads.map(compile_for, range(last + 1)))
 

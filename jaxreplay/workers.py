@@ -1,11 +1,16 @@
 """Processes that run the shards of a study: Dask's, here or on other machines."""
 
+import logging
 import os
-from collections.abc import Iterator
+import signal
+from collections.abc import Callable, Iterator
+from concurrent.futures import CancelledError
 from contextlib import contextmanager
+from functools import partial
+from typing import Any
 
 import dask
-from distributed import Client, LocalCluster, Worker, WorkerPlugin
+from distributed import Client, KilledWorker, LocalCluster, Worker, WorkerPlugin, as_completed
 
 from jaxreplay.machine import keep_compiled
 
@@ -15,8 +20,11 @@ PATIENCE = 10  # seconds, for a scheduler to answer
 _KEEP_MEMORY = {"MALLOC_TRIM_THRESHOLD_": 2**30, "MALLOC_MMAP_THRESHOLD_": 2**30}
 
 
+RunEach = Callable[[Callable, dict[int, tuple]], Iterator[tuple[int, Any]]]
+
+
 @contextmanager
-def local_workers(n: int) -> Iterator[Client]:
+def local_workers(n: int) -> Iterator[RunEach]:
     """N processes on this machine, one thread each, one core each where that can be told.
 
     On its own core a process steps the filter faster than a thread does that shares a process
@@ -24,33 +32,54 @@ def local_workers(n: int) -> Iterator[Client]:
     """
     with (
         dask.config.set({"distributed.nanny.pre-spawn-environ": _KEEP_MEMORY}),
-        LocalCluster(n, threads_per_worker=1, dashboard_address=None, memory_limit=0) as cluster,
+        LocalCluster(
+            n_workers=n,
+            threads_per_worker=1,
+            memory_limit=0,
+            dashboard_address="127.0.0.1:0",
+            silence_logs=logging.CRITICAL,
+        ) as cluster,
         Client(cluster) as client,
     ):
         client.register_plugin(_Settled())
-        yield client
+        yield partial(_run_each, client)
 
 
 @contextmanager
-def workers_of(scheduler: str) -> Iterator[Client]:
+def workers_of(scheduler: str) -> Iterator[RunEach]:
     """The workers of a running Dask scheduler, such as `"tcp://10.0.0.1:8786"`.
 
     Raises:
-        OSError: no scheduler answers there.
+        OSError: no scheduler answers there, or it has no workers.
     """
     try:
         client = Client(scheduler, timeout=PATIENCE)
     except (OSError, ValueError) as error:
         raise OSError(f"no Dask scheduler at {scheduler}: {error}") from None
     with client:
-        yield client
+        if not client.scheduler_info()["workers"]:
+            raise OSError(f"the Dask scheduler at {scheduler} has no workers; start one")
+        yield partial(_run_each, client)
+
+
+def _run_each(client: Client, function: Callable, calls: dict[int, tuple]):
+    """Call a function with each of the arguments; keys and results, as they come."""
+    futures = {client.submit(function, *given, pure=False): key for key, given in calls.items()}
+    try:
+        for future in as_completed(futures):
+            yield futures[future], future.result()
+    except (CancelledError, KilledWorker) as error:
+        raise OSError(
+            f"workers were lost: {error}; finished shards are kept, the same command goes on"
+        ) from None
 
 
 class _Settled(WorkerPlugin):
     """Before JAX starts in a worker."""
 
     def setup(self, worker: Worker):
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the process that asked
         keep_compiled()
         if hasattr(os, "sched_setaffinity"):
             mine = sorted(os.sched_getaffinity(0))
-            os.sched_setaffinity(0, {mine[worker.name % len(mine)]})
+            os.sched_setaffinity(0, {mine[(os.getppid() + worker.name) % len(mine)]})

@@ -1,8 +1,10 @@
 import os
 import signal
+from functools import partial
 
 import pytest
 import xarray as xr
+from distributed import Client
 
 from jaxreplay import cli, open_study, study, workers
 from jaxreplay.config import load_config
@@ -26,21 +28,23 @@ def config(tmp_path):
 
 
 @pytest.mark.slow
-def test_workers_come_to_the_same_bytes_though_one_is_killed(config, tmp_path, monkeypatch):
+@pytest.mark.parametrize("n", [1, 3])
+def test_workers_come_to_the_same_bytes_though_one_is_killed(config, tmp_path, monkeypatch, n):
     monkeypatch.setattr(study, "SHARD", 2)
     alone, killed = study.run_study(load_config(config), tmp_path / "alone"), []
 
-    with local_workers(2) as client:
+    def kill_a_busy_one(outcome):
+        client = Client.current()
+        busy = [worker for worker, tasks in client.processing().items() if tasks]
+        if busy and not killed:
+            pids = client.run(os.getpid)
+            assert len(pids) == n
+            killed.append(pids[busy[0]])
+            os.kill(killed[0], signal.SIGKILL)
 
-        def kill_a_busy_one(outcome):
-            busy = [worker for worker, tasks in client.processing().items() if tasks]
-            if busy and not killed:
-                killed.append(client.run(os.getpid)[busy[0]])
-                os.kill(killed[0], signal.SIGKILL)
-
-        together = study.run_study(
-            load_config(config), tmp_path / "together", kill_a_busy_one, client
-        )
+    together = study.run_study(
+        load_config(config), tmp_path / "together", kill_a_busy_one, partial(local_workers, n)
+    )
     assert killed
     xr.testing.assert_identical(together, alone)
     for path in (tmp_path / "alone" / "shards").iterdir():
