@@ -16,24 +16,14 @@ from jaxreplay.records import Records
 from jaxreplay.scaled import LOWEST
 from jaxreplay.window import NOTHING, resize
 
-WINDOWS = (
-    128,
-    256,
-    384,
-    512,
-    768,
-    1152,
-    1728,
-    2592,
-    3888,
-)  # moments of each record held, if not all
+# Moments of each record held, if not all.
+WINDOWS = (128, 256, 384, 512, 768, 1152, 1728, 2592, 3888)
 LANES = 28  # replays that are advanced in one call, so that one program serves all
 NARROW_EVERY = 32  # steps
-# A step may drop a hypothesis at its window's edges that is so far behind that it would take as
-# many observations to bring it back, each telling the records' most distant samples apart.
-RETURN_AFTER = 12
+# A step may drop a hypothesis at its window's edges that is so far behind that this many
+# observations could not bring it back, even if each told the records' most distant samples apart.
+RETURN_AFTER = 24
 MARGIN = 200  # bits that it must be behind besides, for records that hardly differ
-
 # Processors with registers of 512 bits gain a quarter; XLA uses half of them by default.
 COMPILER_OPTIONS = {"xla_cpu_prefer_vector_width": 512}
 

@@ -19,7 +19,6 @@ PATIENCE = 10  # seconds, for a scheduler to answer
 # third of a step's time went into that.
 _KEEP_MEMORY = {"MALLOC_TRIM_THRESHOLD_": 2**30, "MALLOC_MMAP_THRESHOLD_": 2**30}
 
-
 RunEach = Callable[[Callable, dict[int, tuple]], Iterator[tuple[int, Any]]]
 
 
