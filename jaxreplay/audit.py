@@ -32,6 +32,7 @@ def audit(records: Records, params: Params, jump: str, observations: np.ndarray)
         jump: `"same_tau"` or `"own_tau"`.
         observations: what a replay saw.
     """
+    # As many lanes as a study has, all but one at rest, for the same compiled programs to serve.
     batch = jax.tree.map(lambda x: np.stack([x] * LANES), params)
     tracker, dense = Tracker(records, batch, jump), Tracker(records, batch, jump, windows=())
     commands = np.concatenate(records.sequences()[1])

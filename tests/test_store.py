@@ -9,9 +9,11 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from jaxreplay import cli, open_study, study, tracker
+from jaxreplay import cli, open_study, study
 from jaxreplay.config import ConfigError, load_config
 from jaxreplay.store import claimed, read_manifest, read_shard, write_shard
+
+pytestmark = pytest.mark.usefixtures("fewer_windows")
 
 TEXT = """
 seed = 4
@@ -27,14 +29,6 @@ tracker.WINDOWS = (256,)
 study.SHARD, study.audit = 2, lambda *replay: (0.0, 0.0)
 sys.exit(cli.main(["run", sys.argv[1], "--out", sys.argv[2]]))
 """
-
-
-@pytest.fixture(scope="module", autouse=True)
-def fewer_windows():
-    """To compile less."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(tracker, "WINDOWS", (256,))
-        yield
 
 
 @pytest.fixture(scope="module")

@@ -3,7 +3,7 @@ import pytest
 import xarray as xr
 
 import jaxreplay as jr
-from jaxreplay import cli, tracker
+from jaxreplay import cli
 from jaxreplay.config import FACTORS, ConfigError, StudyConfig, load_config
 from jaxreplay.figures import figure_3
 from jaxreplay.plane.demonstrator import TESTED, facing
@@ -11,6 +11,8 @@ from jaxreplay.plane.params import COMMAND_NAMES, SENSOR_NAMES, SENSOR_RANGES
 from jaxreplay.records import Records
 from jaxreplay.study import config_of, run_study, runs_of, setting
 from jaxreplay.table import table
+
+pytestmark = pytest.mark.usefixtures("fewer_windows")
 
 SMALL = """
 seed = 4
@@ -33,14 +35,6 @@ def write(folder, text, name="study.toml"):
     path = folder / name
     path.write_text(text)
     return path
-
-
-@pytest.fixture(scope="module", autouse=True)
-def fewer_windows():
-    """To compile less."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(tracker, "WINDOWS", (256,))
-        yield
 
 
 @pytest.fixture(scope="module")
