@@ -2,20 +2,24 @@
 
 import argparse
 import sys
+import time
+import warnings
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from functools import partial
 from io import TextIOWrapper
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
 import numpy as np
 import xarray as xr
 from tqdm import tqdm
 
-from jaxreplay.config import ConfigError, load_config
+from jaxreplay.config import ConfigError, StudyConfig, load_config
 from jaxreplay.figures import figure_3
-from jaxreplay.machine import keep_compiled
+from jaxreplay.machine import cores, keep_compiled
+from jaxreplay.runs import runs_of, shards_of
 from jaxreplay.study import (
     OUTCOMES,
     STALLS,
@@ -23,8 +27,7 @@ from jaxreplay.study import (
     demonstrations,
     open_study,
     run_study,
-    runs_of,
-    shards_of,
+    shard_size,
 )
 from jaxreplay.table import table
 
@@ -61,7 +64,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
     where.add_argument(
         "--scheduler", metavar="ADDRESS", help="run shards on the workers of this Dask scheduler"
     )
-    run.add_argument("--dry-run", action="store_true", help="only tell how many runs it is")
+    run.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        dest="changes",
+        metavar="KEY=VALUE",
+        help="instead of what FILE says, e.g. axis.theta_i.logspace=[-1,-3,5] or jump=own_tau",
+    )
+    run.add_argument(
+        "--slots", type=_count, metavar="N", help="runs that advance together, as --set slots=N"
+    )
+    run.add_argument(
+        "--dry-run", action="store_true", help="only tell its size, and measure what it will cost"
+    )
     run.set_defaults(action=_run)
     for name, action, what in (
         ("show", _show, "print the table of a study"),
@@ -100,7 +116,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
             stream.reconfigure(errors="replace")
     keep_compiled()
     try:
-        return options.action(options)
+        with warnings.catch_warnings():
+            warnings.showwarning = _warn
+            return options.action(options)
     except ConfigError as error:
         print(f"jaxreplay: {error}", file=sys.stderr)
         return MISTAKE
@@ -113,15 +131,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return INTERRUPTED
 
 
+def _warn(message: Warning | str, *_):
+    print(f"jaxreplay: {message}", file=sys.stderr)
+
+
 def _run(options: argparse.Namespace) -> int:
-    config = load_config(options.file)
+    slots = [f"slots={options.slots}"] if options.slots else []
+    config = load_config(options.file, options.changes + slots)
     folder = options.out or Path("results") / options.file.stem
     if folder.exists() and not folder.is_dir():
         raise ConfigError(f"--out {folder} is a file; give a folder")
     runs = runs_of(config)
-    shards = len(shards_of(runs))
+    shards = len(shards_of(runs, shard_size(config)))
     print(f"{folder}: {len(runs)} runs in {shards} shard{'s' * (shards > 1)}", file=sys.stderr)
     if options.dry_run:
+        print(_cost(config, folder, len(runs), options.workers), file=sys.stderr)
         return DONE
     try:
         dataset = run_study(config, folder, _Progress(len(runs)), _workers(options))
@@ -135,6 +159,21 @@ def _run(options: argparse.Namespace) -> int:
     print(table(dataset))
     print(f"{folder}: the study, figure_3.png and figure_3.pdf")
     return DONE
+
+
+def _cost(config: StudyConfig, folder: Path, runs: int, workers: int | None) -> str:
+    from jaxreplay.estimate import SAMPLE, estimate
+
+    print(f"measuring, on {SAMPLE} of them", file=sys.stderr)
+    with TemporaryDirectory() as elsewhere:
+        place = folder if folder.exists() else Path(elsewhere)
+        cost = estimate(config, demonstrations(config, place))
+    n = min(workers or cores(), cores())
+    minutes = runs * cost.seconds / n / 60
+    return (
+        f"about {minutes:.0f} min on {n} core{'s' * (n > 1)} ({cost.seconds:.2f} s a run on one), "
+        f"{cost.memory / 2**30:.1f} GiB{' a worker' if workers else ''}"
+    )
 
 
 def _workers(options: argparse.Namespace) -> "Callable[[], AbstractContextManager[RunEach]] | None":
@@ -234,21 +273,29 @@ class _Progress:
     """A line kept up to date on a terminal; else one whenever a tenth more of the runs is done."""
 
     def __init__(self, total: int):
-        self._total, self._told = total, 0
+        self._total, self._began, self._told = total, None, 0
         self._bar = tqdm(
             total=total,
             bar_format="{n} of {total} runs [{elapsed}<{remaining}]{postfix}",
             disable=None,
         )
 
-    def __call__(self, outcome: np.ndarray):
+    def __call__(self, outcome: np.ndarray, duration: np.ndarray):
         done = int(np.sum(outcome != ""))
+        simulated, now = float(duration.sum()), time.monotonic()
+        if self._began is None:  # what was done in an earlier sitting counts as done, but not here
+            self._began = now, simulated
+            self._bar.initial, self._told = done, 10 * done // self._total
+        since, already = self._began
         counts = ", ".join(f"{name} {np.sum(outcome == name)}" for name in OUTCOMES)
+        rate = (simulated - already) / max(now - since, 1e-9)
+        told = f"{counts}; {rate:.0f} simulated s a second"
         self._bar.n = done
-        self._bar.set_postfix_str(counts, refresh=False)
+        self._bar.set_postfix_str(told, refresh=False)
         self._bar.update(0)
         if self._bar.disable and 10 * done // self._total > self._told:
             self._told = 10 * done // self._total
-            print(f"{done} of {self._total} runs: {counts}", file=sys.stderr)
+            left = (now - since) * (self._total - done) / max(done - self._bar.initial, 1)
+            print(f"{done} of {self._total} runs: {told}, {left:.0f} s left", file=sys.stderr)
         if done == self._total:
             self._bar.close()

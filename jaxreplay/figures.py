@@ -6,7 +6,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 import xarray as xr
 
-from jaxreplay.config import FACTORS
+from jaxreplay.factors import FACTORS
 from jaxreplay.study import OUTCOMES, config_of
 from jaxreplay.table import axes_of, cells, short, standard_error, units
 

@@ -7,6 +7,7 @@ what it had finished is kept.
 import hashlib
 import json
 import os
+import warnings
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
@@ -131,7 +132,7 @@ def set_aside(path: Path):
     """Keep a file that is in the way, under another name."""
     aside = path.with_suffix(f"{path.suffix}.bad")
     os.replace(path, aside)
-    print(f"{path} is torn or not of this study; kept as {aside.name}")
+    warnings.warn(f"{path} is torn or not of this study; kept as {aside.name}", stacklevel=2)
 
 
 def _path(folder: Path, k: int) -> Path:

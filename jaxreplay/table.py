@@ -5,36 +5,50 @@ from collections.abc import Iterator
 import numpy as np
 import xarray as xr
 
-from jaxreplay.config import FACTORS
+from jaxreplay.factors import FACTORS
 from jaxreplay.study import OUTCOMES, STALLS
 
 
-def cells(dataset: xr.Dataset, axes: list[str]) -> Iterator[tuple[dict, xr.Dataset]]:
-    """Each combination of the values of some axes, with the runs that share it."""
-    sizes = [dataset.sizes[axis] for axis in axes]
+def cells(dataset: xr.Dataset, dims: list[str]) -> Iterator[tuple[dict, xr.Dataset]]:
+    """Each combination of places along some dimensions: its factors' values, and its runs."""
+    sizes = [dataset.sizes[dim] for dim in dims]
     for index in np.ndindex(*sizes):
-        runs = dataset.isel(dict(zip(axes, index, strict=True)))
-        yield {axis: dataset[axis].values[k] for axis, k in zip(axes, index, strict=True)}, runs
+        at = dict(zip(dims, index, strict=True))
+        values = {
+            name: dataset[name].values[k] for dim, k in at.items() for name in along(dataset, dim)
+        }
+        yield values, dataset.isel(at)
+
+
+def along(dataset: xr.Dataset, dim: str) -> list[str]:
+    """The factors that vary along a dimension, its own first."""
+    names = [name for name in FACTORS if name in dataset.coords]
+    return sorted((n for n in names if dataset[n].dims == (dim,)), key=lambda n: n != dim)
 
 
 def axes_of(dataset: xr.Dataset) -> list[str]:
-    """The factors that a study varies."""
+    """The dimensions along which factors vary."""
     return [name for name in dataset.outcome.dims if name in FACTORS]
 
 
 def table(dataset: xr.Dataset) -> str:
     """A row for each cell of the study."""
-    axes = axes_of(dataset)
-    widths = {axis: max(11, len(FACTORS[axis].symbol + units(axis)) + 2) for axis in axes}
+    dims = axes_of(dataset)
+    columns = {}
+    for name in (name for dim in dims for name in along(dataset, dim)):
+        values = [short(value) for value in dataset[name].values]
+        columns[name] = max(
+            11, *(len(text) + 2 for text in (FACTORS[name].symbol + units(name), *values))
+        )
     lines = [
-        "".join((FACTORS[axis].symbol + units(axis)).rjust(widths[axis]) for axis in axes)
+        "".join((FACTORS[name].symbol + units(name)).rjust(w) for name, w in columns.items())
         + "".join(f"{name:>5}" for name in OUTCOMES)
         + "".join(f"{name:>8}" for name in STALLS)
         + f"{'error of S, mm':>18}{'duration of S, s':>20}"
     ]
-    for values, runs in cells(dataset, axes):
+    for values, runs in cells(dataset, dims):
         outcome, stall = runs.outcome.values, runs.stall.values
-        row = "".join(short(value).rjust(widths[axis]) for axis, value in values.items())
+        row = "".join(short(value).rjust(columns[name]) for name, value in values.items())
         row += "".join(f"{np.sum(outcome == o):5d}" for o in OUTCOMES)
         row += "".join(f"{np.sum(stall == s):8d}" for s in STALLS)
         for name, width in (("alignment_error", 18), ("duration", 20)):

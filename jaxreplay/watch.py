@@ -14,7 +14,8 @@ from matplotlib.figure import Figure
 from matplotlib.gridspec import GridSpec
 from PIL import Image
 
-from jaxreplay.config import FACTORS, StudyConfig
+from jaxreplay.config import StudyConfig
+from jaxreplay.factors import FACTORS
 from jaxreplay.filter import build_filter
 from jaxreplay.params import Params
 from jaxreplay.plane.drawing import Scene
@@ -23,7 +24,8 @@ from jaxreplay.plane.params import PlaneParams
 from jaxreplay.plane.sensors import Pose
 from jaxreplay.records import Records
 from jaxreplay.replay import Replays, replay
-from jaxreplay.study import Runs, outcomes, runs_of, setting
+from jaxreplay.runs import Runs, records_of, runs_of, setting
+from jaxreplay.study import outcomes
 from jaxreplay.table import short
 
 FRAMES = 10  # per second of the animation
@@ -99,6 +101,7 @@ def animate_run(
     """
     one = runs_of(config).of(np.array([k]))
     params, (seed,), options = setting(config, one)
+    records = records_of(config, records, one)
     jump = str(one.values["jump"][0])
     run = watched(records, params, jump, seed, options)
     belief = beliefs(records, jax.tree.map(lambda x: x[0], params), jump, run.observations)
@@ -108,7 +111,11 @@ def animate_run(
 
 
 def _title(one: Runs, replays: Replays) -> str:
-    values = [f"{FACTORS[name].symbol} {short(value[0])}" for name, value in one.values.items()]
+    values = [
+        f"{FACTORS[name].symbol} {short(value[0])}"
+        for name, value in one.values.items()
+        if value[0] is not None
+    ]
     where = f"position {one.position[0]}, repeat {one.repeat[0]}"
     outcome, stall = outcomes(replays)[0], replays.info["stall"][0]
     ended = f"{outcome}{f' ({stall})' if stall else ''}"
