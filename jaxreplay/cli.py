@@ -17,8 +17,8 @@ import xarray as xr
 from tqdm import tqdm
 
 from jaxreplay.config import ConfigError, StudyConfig, load_config
-from jaxreplay.figures import figure_3
 from jaxreplay.machine import cores, keep_compiled
+from jaxreplay.maps import draw
 from jaxreplay.runs import runs_of, shards_of
 from jaxreplay.study import (
     OUTCOMES,
@@ -155,9 +155,9 @@ def _run(options: argparse.Namespace) -> int:
             file=sys.stderr,
         )
         return INTERRUPTED
-    _draw(dataset, folder)
+    drawn = draw(dataset, folder)
     print(table(dataset))
-    print(f"{folder}: the study, figure_3.png and figure_3.pdf")
+    print(f"{folder}: the study, {drawn}")
     return DONE
 
 
@@ -199,8 +199,7 @@ def _show(options: argparse.Namespace) -> int:
 
 
 def _plot(options: argparse.Namespace) -> int:
-    _draw(_opened(options.folder), options.folder)
-    print(f"{options.folder}: figure_3.png and figure_3.pdf")
+    print(f"{options.folder}: {draw(_opened(options.folder), options.folder)}")
     return DONE
 
 
@@ -213,11 +212,6 @@ def _opened(folder: Path) -> xr.Dataset:
     if missing:
         print(f"{folder}: {missing} of {dataset.outcome.size} runs are missing", file=sys.stderr)
     return dataset
-
-
-def _draw(dataset: xr.Dataset, folder: Path):
-    for suffix in ("png", "pdf"):
-        figure_3(dataset, folder / f"figure_3.{suffix}")
 
 
 def _speed(text: str) -> float:

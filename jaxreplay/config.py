@@ -122,7 +122,7 @@ def _parse(given: dict) -> StudyConfig:
     _known(given, (*FACTORS, *others, "axis"), "")
     _known(axis, tuple(FACTORS), "axis.")
     axes = {
-        name: _distinct(_values(value, f"axis.{name}", FACTORS[name].read), f"axis.{name}")
+        name: tuple(_values(value, f"axis.{name}", FACTORS[name].read))
         for name, value in axis.items()
     }
     fixed = {}
@@ -135,9 +135,13 @@ def _parse(given: dict) -> StudyConfig:
             if factor.default is MUST:
                 raise ValueError(f"{name} is missing; give one value, or a list as axis.{name}")
             fixed[name] = factor.default
-    return StudyConfig(
+    config = StudyConfig(
         axes, fixed, **{key: read(given[key], key) for key, read in others.items() if key in given}
     )
+    for group in config.dims.values():  # of axes that move together, one may stand still
+        together = list(zip(*(axes[name] for name in group), strict=True))
+        _distinct(together, ", ".join(f"axis.{name}" for name in group))
+    return config
 
 
 def _known(given: dict, allowed: tuple[str, ...], prefix: str):
@@ -148,8 +152,10 @@ def _known(given: dict, allowed: tuple[str, ...], prefix: str):
 
 
 def _distinct(values: list, key: str) -> tuple:
+    """All of them, if none stands there twice."""
     if len(set(values)) != len(values):
-        raise ValueError(f"{key} holds a value twice: {values}")
+        twice = next(value for value in values if values.count(value) > 1)
+        raise ValueError(f"{key} holds a value twice: {twice}")
     return tuple(values)
 
 

@@ -172,9 +172,8 @@ def test_opening_what_is_no_study(tmp_path):
 def test_the_shipped_experiment_is_the_papers(request):
     config = load_config(request.config.rootpath / "experiments" / "theta_i.toml")
     assert list(config.axes) == ["jump", "theta_i"]
-    np.testing.assert_allclose(
-        np.log10(config.axes["theta_i"]), [-0.5, -1, -1.5, -2, -2.5, -3, -3.5]
-    )
+    exponents = [-0.5, -1, -1.5, -2, -2.5, -3, -3.5, -6, -12, -25]
+    np.testing.assert_allclose(np.log10(config.axes["theta_i"]), exponents)
     assert config.axes["jump"] == ("same_tau", "own_tau")
     assert (config.fixed["theta_tau"], config.fixed["sigma"], config.repeats) == (0.05, 0.1, 3)
     assert not config.fixed["dithering"]
@@ -276,6 +275,10 @@ def test_axes_that_are_zipped_move_together(tmp_path):
     assert len(runs) == 2 * 2 * 2 * 6 * 2
     pairs = set(zip(runs.values["motor_unit"], runs.values["sigma_camera"], strict=True))
     assert pairs == {(0.005, 0.1), (0.01, 0.3)}
+    still = ["axis.sigma_camera=[0.1, 0.1]"]
+    assert load_config(write(tmp_path, VARIED), still).axes["sigma_camera"] == (0.1, 0.1)
+    with pytest.raises(ConfigError, match=r"axis\.motor_unit, axis\.sigma_camera holds a value tw"):
+        load_config(write(tmp_path, VARIED), [*still, "axis.motor_unit=[0.01, 0.01]"])
 
 
 def test_cubes_stand_where_the_file_says(tmp_path):
