@@ -109,6 +109,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
         help="a .gif, or a .png for a still of the end (default: run_RUN.gif beside the data)",
     )
     watch.set_defaults(action=_watch)
+    inspect = commands.add_parser(
+        "inspect",
+        help="tell and draw what recordings hold",
+        description="Tell and draw what recordings hold, and what in them is worth a look.",
+    )
+    inspect.add_argument("records", type=Path, metavar="RECORDS", help="a .npz of Records.save")
+    inspect.add_argument(
+        "--out", type=Path, metavar="FILE", help="the figure (default: RECORDS, but .png)"
+    )
+    inspect.set_defaults(action=_inspect)
     options = parser.parse_args(arguments)
     # A table in an encoding without θ is better than none.
     for stream in (sys.stdout, sys.stderr):
@@ -242,6 +252,26 @@ def _watch(options: argparse.Namespace) -> int:
             bar.update(done - bar.n)
 
         print(animate_run(config, demonstrations(config, folder), k, path, options.speed, progress))
+    print(path)
+    return DONE
+
+
+def _inspect(options: argparse.Namespace) -> int:
+    from jaxreplay.inspection import inspect, report
+    from jaxreplay.inspection_figure import FORMATS, inspection_figure
+    from jaxreplay.records import Records
+
+    path = options.out or options.records.with_suffix(".png")
+    if path.suffix[1:] not in FORMATS or path == options.records:
+        raise ConfigError(f"--out {path}: let its name end in one of .{', .'.join(FORMATS)}")
+    try:
+        records = Records.load(options.records)
+    except ValueError as error:
+        raise ConfigError(str(error)) from None
+    path.parent.mkdir(parents=True, exist_ok=True)
+    inspection = inspect(records)
+    print(report(inspection))
+    inspection_figure(records, inspection, path)
     print(path)
     return DONE
 
