@@ -138,6 +138,7 @@ FACTORS = {
     },
     "jump": Factor("same_tau", one_of(*PREDICTIONS), "jump", "", "reading of a jump"),
     "records": Factor(None, some_records, "records", "", "which of the demonstrations"),
+    "light": Factor(None, one_of(False, True), "light", "", "one more sensor, of the room's light"),
     "dithering": Factor(
         _PLANE.dithering, one_of(False, True), "dithering", "", "temporal dithering of the tracks"
     ),

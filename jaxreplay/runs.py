@@ -6,11 +6,14 @@ from itertools import product
 from typing import Any, NamedTuple
 
 import numpy as np
+from gymnasium.vector import VectorEnv
 
 from jaxreplay.config import StudyConfig
 from jaxreplay.factors import FACTORS, chosen_records, sigma_of_sensors
 from jaxreplay.params import Params
 from jaxreplay.plane.demonstrator import facing
+from jaxreplay.plane.env import PlaneVectorEnv
+from jaxreplay.plane.light import Lit, lit
 from jaxreplay.plane.options import SETTINGS
 from jaxreplay.records import Records
 
@@ -56,7 +59,10 @@ def setting(config: StudyConfig, runs: Runs) -> tuple[Params, list[int], dict[st
     is the same in whatever study the run stands, and at whatever place.
     """
     values = runs.values
-    params = Params(values["theta_i"], values["theta_tau"], sigma_of_sensors(values))
+    sigma = sigma_of_sensors(values)
+    if len(runs) and values["light"][0]:
+        sigma = np.column_stack([sigma, values["sigma"].astype(float)])  # its range is 1
+    params = Params(values["theta_i"], values["theta_tau"], sigma)
     seeds = []
     for k in range(len(runs)):
         said = {name: _plain(value[k]) for name, value in values.items() if value[k] is not None}
@@ -76,17 +82,26 @@ def records_of(config: StudyConfig, records: Records, runs: Runs) -> Records:
         ValueError: there are not as many.
     """
     told = runs.values["records"][0]
+    if runs.values["light"][0]:
+        records = lit(records, config.seed)
     if told is None:
         return records
     return records.subset(chosen_records(told, records.n_records, config.seed, int(runs.repeat[0])))
 
 
+def worlds_for(runs: Runs, slots: int) -> VectorEnv:
+    """What runs of one shard run in."""
+    worlds = PlaneVectorEnv(min(slots, len(runs)))
+    return Lit(worlds) if runs.values["light"][0] else worlds
+
+
 def shards_of(runs: Runs, size: int) -> list[np.ndarray]:
-    """The runs, as indices, cut into shards that share a reading of a jump, and the records."""
+    """The runs, as indices, cut into shards that share a reading of a jump, sensors and records."""
     alike: dict[tuple, list[int]] = {}
-    for k, (jump, told) in enumerate(zip(runs.values["jump"], runs.values["records"], strict=True)):
-        drawn = runs.repeat[k] if told is not None and told.endswith("drawn") else None
-        alike.setdefault((jump, told, drawn), []).append(k)
+    shared = [runs.values[name] for name in ("jump", "light", "records")]
+    for k, key in enumerate(zip(*shared, strict=True)):
+        drawn = key[-1] is not None and key[-1].endswith("drawn")
+        alike.setdefault((*key, runs.repeat[k] if drawn else None), []).append(k)
     return [
         np.array(part[i : i + size]) for part in alike.values() for i in range(0, len(part), size)
     ]

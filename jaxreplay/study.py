@@ -18,11 +18,10 @@ from jaxreplay.audit import audit
 from jaxreplay.config import SLOTS, ConfigError, StudyConfig
 from jaxreplay.factors import FACTORS, chosen_records
 from jaxreplay.plane.demonstrator import DEMONSTRATED, record
-from jaxreplay.plane.env import PlaneVectorEnv
 from jaxreplay.plane.params import COMMAND_NAMES, SENSOR_NAMES, PlaneParams
 from jaxreplay.records import Records
 from jaxreplay.replay import Replays, replay
-from jaxreplay.runs import Runs, records_of, runs_of, setting, shards_of
+from jaxreplay.runs import Runs, records_of, runs_of, setting, shards_of, worlds_for
 from jaxreplay.store import claimed, manifest_of, read_manifest, read_shard, write_shard
 
 if TYPE_CHECKING:
@@ -170,7 +169,7 @@ def replays_of(
         progress: called after every control step.
     """
     params, seeds, options = setting(config, runs)
-    env = PlaneVectorEnv(min(config.slots, len(runs)))
+    env = worlds_for(runs, config.slots)
     jump = str(runs.values["jump"][0])
     theirs = records_of(config, records, runs)
     return replay(theirs, params, env, jump, seeds, options, keep, progress)

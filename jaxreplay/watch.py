@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import matplotlib.pyplot as plt
 import numpy as np
-from gymnasium.vector import VectorWrapper
+from gymnasium.vector import VectorEnv, VectorWrapper
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.gridspec import GridSpec
@@ -19,12 +19,11 @@ from jaxreplay.factors import FACTORS
 from jaxreplay.filter import build_filter
 from jaxreplay.params import Params
 from jaxreplay.plane.drawing import Scene
-from jaxreplay.plane.env import PlaneVectorEnv
 from jaxreplay.plane.params import PlaneParams
 from jaxreplay.plane.sensors import Pose
 from jaxreplay.records import Records
 from jaxreplay.replay import Replays, replay
-from jaxreplay.runs import Runs, records_of, runs_of, setting
+from jaxreplay.runs import Runs, records_of, runs_of, setting, worlds_for
 from jaxreplay.study import outcomes
 from jaxreplay.table import short
 
@@ -40,7 +39,7 @@ class Watched(NamedTuple):
         replays: what came of it, n = 1.
         poses: T of them, after each step.
         held: `[T]` whether the cube was held.
-        observations: `[T, 7]`.
+        observations: `[T, n_s]`.
         commands: `[T, 5]`.
     """
 
@@ -52,23 +51,29 @@ class Watched(NamedTuple):
 
 
 class _Recorder(VectorWrapper):
-    def __init__(self, env: PlaneVectorEnv):
+    def __init__(self, env: VectorEnv):
         super().__init__(env)
         self.rows: list[tuple] = []
 
     def step(self, actions):
         """Carry it out, and keep what was sent, seen and done."""
         result = self.env.step(actions)
-        pose = Pose(*(x.copy() for x in self.env.pose))
-        self.rows.append((pose, bool(self.env.held[0]), result[0][0].copy(), actions[0].copy()))
+        plane = self.env.unwrapped
+        pose = Pose(*(x.copy() for x in plane.pose))
+        self.rows.append((pose, bool(plane.held[0]), result[0][0].copy(), actions[0].copy()))
         return result
 
 
 def watched(
-    records: Records, params: Params, jump: str, seed: int, options: dict[str, np.ndarray]
+    records: Records,
+    params: Params,
+    worlds: VectorEnv,
+    jump: str,
+    seed: int,
+    options: dict[str, np.ndarray],
 ) -> Watched:
     """Run one replay and keep all of it; arguments as :func:`jaxreplay.replay.replay`, n = 1."""
-    env = _Recorder(PlaneVectorEnv(1))
+    env = _Recorder(worlds)
     replays = replay(records, params, env, jump, [seed], options)
     poses, held, observations, commands = zip(*env.rows, strict=True)
     return Watched(replays, list(poses), *map(np.array, (held, observations, commands)))
@@ -103,7 +108,7 @@ def animate_run(
     params, (seed,), options = setting(config, one)
     records = records_of(config, records, one)
     jump = str(one.values["jump"][0])
-    run = watched(records, params, jump, seed, options)
+    run = watched(records, params, worlds_for(one, 1), jump, seed, options)
     belief = beliefs(records, jax.tree.map(lambda x: x[0], params), jump, run.observations)
     title = _title(one, run.replays)
     animate(run, belief, records, title, path, speed, progress)
