@@ -490,3 +490,19 @@ def test_the_command_line_describes_itself(capsys):
     with pytest.raises(SystemExit) as stop:
         cli.main(["walk"])
     assert stop.value.code == 2
+
+
+def test_progress_is_told_in_lines_where_there_is_no_terminal(capsys):
+    """Every tenth of the runs: what came of them, how fast it goes, and how long it will."""
+    tell, outcome, duration = cli._Progress(20), np.full(20, "", "<U2"), np.zeros(20)
+    outcome[:6], duration[:6] = "S", 100  # from an earlier sitting
+    tell(outcome, duration)
+    assert capsys.readouterr().err == ""
+    outcome[6:9], duration[6:10] = ["S", "Fs", "Fb"], 50
+    tell(outcome, duration)
+    (line,) = capsys.readouterr().err.splitlines()
+    assert re.fullmatch(
+        r"9 of 20 runs: S 7, Fs 1, Fg 0, Fb 1; \d+ simulated s a second, \d+ s left", line
+    )
+    tell(outcome, duration)
+    assert capsys.readouterr().err == ""
