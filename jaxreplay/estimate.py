@@ -1,11 +1,10 @@
 """What a study will cost, measured on a few of its runs."""
 
-import resource
-import sys
 import time
 from typing import NamedTuple
 
 import numpy as np
+import psutil
 
 from jaxreplay.config import StudyConfig
 from jaxreplay.records import Records
@@ -43,10 +42,9 @@ def estimate(config: StudyConfig, records: Records) -> Cost:
 
 def _memory(config: StudyConfig, records: Records, runs: Runs) -> int:
     """This process's, and what the slots add that were not filled."""
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    peak *= 1 if sys.platform == "darwin" else 1024
+    held = psutil.Process().memory_info().rss
     widths = [w for w in WINDOWS if w < records.longest] + [records.longest]
     lane = 8 * records.n_records * sum(widths)
     slots = min(config.slots, len(runs))
     lanes = -(-slots // LANES) * LANES
-    return peak + (lanes - LANES) * lane + max(slots - SAMPLE, 0) * WORLD
+    return held + (lanes - LANES) * lane + max(slots - SAMPLE, 0) * WORLD
