@@ -271,7 +271,8 @@ def print_table(found: dict[Cell, np.ndarray]):
     for jump in JUMPS:
         some = [found[c][:, 0] for c in questions()["3, 4 or 5 laps"] if c.jump == jump]
         laps, runs = np.unique(some, return_counts=True)
-        print(f"{jump:9}" + ", ".join(f"{k:g}: {m}" for k, m in zip(laps, runs, strict=True)))
+        told = (f"{k:g}: {m}" for k, m in zip(laps, runs, strict=True) if k == k)
+        print(f"{jump:9}" + ", ".join([*told, f"lost: {np.isnan(some).sum()}"]))
 
 
 def rate(cell: Cell, found: dict[Cell, np.ndarray]) -> tuple[int, float, float]:
@@ -317,7 +318,8 @@ def rates(axes: plt.Axes, at: range, cells: list[Cell], found: dict, lying: bool
     right, low, high = np.array([rate(cell, found) for cell in cells]).T
     p = right / len(found[cells[0]])
     bars = 100 * np.maximum(0, [p - low, high - p])
-    where = np.array(at) + (-0.12 if jump == JUMPS[0] else 0.12)
+    aside = (-0.12 if jump == JUMPS[0] else 0.12) + (0 if theta_i == FEW[0] else 0.06)
+    where = np.array(at) + aside
     colour = "#1f4e79" if jump == JUMPS[0] else "#c05a00"
     axes.errorbar(
         *((100 * p, where) if lying else (where, 100 * p)), **{"xerr" if lying else "yerr": bars},
