@@ -1,6 +1,7 @@
 """The command line: thin, and without tracebacks for a user's mistake."""
 
 import argparse
+import os
 import sys
 import time
 import warnings
@@ -132,6 +133,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except ConfigError as error:
         print(f"jaxreplay: {error}", file=sys.stderr)
         return MISTAKE
+    except BrokenPipeError:  # what read the output has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return DONE
     except OSError as error:
         where = f"{error.filename}: " if error.filename else ""
         print(f"jaxreplay: {where}{error.strerror or error}", file=sys.stderr)

@@ -8,7 +8,7 @@ import xarray as xr
 
 from jaxreplay.factors import FACTORS
 from jaxreplay.study import OUTCOMES, config_of
-from jaxreplay.table import axes_of, cells, short, standard_error, units
+from jaxreplay.table import axes_of, cells, short, standard_error, units, wilson
 
 # From light to dark, hatched besides, so that they are told apart in grey.
 COLOURS = {"S": "#cfe8cf", "Fs": "#f2b872", "Fg": "#c0504d", "Fb": "#3b3b58"}
@@ -98,7 +98,12 @@ def _outcomes(axes: plt.Axes, runs: xr.Dataset, along: str):
             color=COLOURS[outcome], hatch=HATCHES[outcome], edgecolor="black", linewidth=0.5,
         )  # fmt: skip
         bottom += share
-    axes.set_ylabel(f"runs, % (of {total[0]} each)")
+    rates = 100 * counts["S"] / np.maximum(total, 1)
+    reach = 100 * np.transpose([wilson(*pair) for pair in zip(counts["S"], total, strict=True)])
+    axes.errorbar(
+        range(len(total)), rates, np.abs(reach - rates), fmt="none", color="black", capsize=3, lw=1
+    )
+    axes.set_ylabel(f"runs, % (of {max(total)} each; bars: 95 % of S)")
     axes.set_ylim(0, 100)
     axes.spines["right"].set_visible(False)
     _axis(axes, runs, along)

@@ -36,8 +36,11 @@ def manifest_of(config: StudyConfig, records: Records, shard: int) -> dict[str, 
     held = hashlib.sha256()
     for array in (records.nodes, records.commands, records.lengths, records.offset):
         held.update(np.ascontiguousarray(array).tobytes())
+    told = asdict(config) | {"demonstrations": str(config.demonstrations or "")}
+    # What is not said is left out, so that a study made before a factor was known stays the same.
+    told["fixed"] = {name: value for name, value in told["fixed"].items() if value is not None}
     made_of = {
-        "config": asdict(config) | {"demonstrations": str(config.demonstrations or "")},
+        "config": told,
         "plane": asdict(PlaneParams()),
         "demonstrations": held.hexdigest(),
         "dtype": str(records.nodes.dtype),

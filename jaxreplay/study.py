@@ -257,6 +257,8 @@ def config_of(dataset: xr.Dataset) -> StudyConfig:
 def _config(manifest: dict) -> StudyConfig:
     held = dict(manifest["config"])
     held["axes"] = {name: tuple(values) for name, values in held["axes"].items()}
+    unsaid = {name: None for name in FACTORS if name not in held["axes"]}
+    held["fixed"] = unsaid | held["fixed"]
     held |= {name: tuple(map(tuple, held[name])) for name in ("zip", "positions")}
     path = held["demonstrations"]
     return StudyConfig(**held | {"demonstrations": Path(path) if path else None})

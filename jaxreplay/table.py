@@ -42,19 +42,26 @@ def table(dataset: xr.Dataset) -> str:
         )
     lines = [
         "".join((FACTORS[name].symbol + units(name)).rjust(w) for name, w in columns.items())
-        + "".join(f"{name:>5}" for name in OUTCOMES)
+        + "".join(f"{name:>6}" for name in OUTCOMES)
+        + f"{'S, %':>15}"
         + "".join(f"{name:>8}" for name in STALLS)
         + f"{'error of S, mm':>18}{'duration of S, s':>20}"
     ]
     for values, runs in cells(dataset, dims):
         outcome, stall = runs.outcome.values, runs.stall.values
         row = "".join(short(value).rjust(columns[name]) for name, value in values.items())
-        row += "".join(f"{np.sum(outcome == o):5d}" for o in OUTCOMES)
+        row += "".join(f"{np.sum(outcome == o):6d}" for o in OUTCOMES)
+        row += rate(np.sum(outcome == "S"), np.sum(outcome != "")).rjust(15)
         row += "".join(f"{np.sum(stall == s):8d}" for s in STALLS)
         for name, width in (("alignment_error", 18), ("duration", 20)):
             row += mean_and_error(runs[name].values[outcome == "S"]).rjust(width)
         lines.append(row)
-    lines += ["", "fixed, cyclic, slow: the Fs. ±: standard error of the mean.", _audited(dataset)]
+    lines += [
+        "",
+        "S, %: with Wilson's 95 % interval. fixed, cyclic, slow: the Fs. "
+        "±: standard error of the mean.",
+        _audited(dataset),
+    ]
     return "\n".join(lines)
 
 
@@ -93,6 +100,14 @@ def mean_and_error(values: np.ndarray) -> str:
 def standard_error(values: np.ndarray) -> float:
     """Of the mean; NaN for fewer than two values."""
     return values.std(ddof=1) / len(values) ** 0.5 if len(values) > 1 else np.nan
+
+
+def rate(successes: int, n: int) -> str:
+    """In percent, with its interval; see :func:`wilson`."""
+    if n == 0:
+        return "–"
+    low, high = wilson(successes, n)
+    return f"{100 * successes / n:.0f} ({100 * low:.0f}–{100 * high:.0f})"
 
 
 def wilson(successes: int, n: int) -> tuple[float, float]:

@@ -5,7 +5,10 @@ import pytest
 import xarray as xr
 
 import jaxreplay as jr
-from jaxreplay import cli
+from jaxreplay import cli, factors
+from jaxreplay import config as config_module
+from jaxreplay import runs as runs_module
+from jaxreplay import study as study_module
 from jaxreplay.config import ConfigError, StudyConfig, load_config
 from jaxreplay.factors import FACTORS
 from jaxreplay.figures import figure_3
@@ -13,6 +16,7 @@ from jaxreplay.plane.demonstrator import TESTED, facing
 from jaxreplay.plane.params import COMMAND_NAMES, SENSOR_NAMES, SENSOR_RANGES
 from jaxreplay.records import Records
 from jaxreplay.runs import records_of, runs_of, setting, shards_of
+from jaxreplay.store import manifest_of, read_manifest
 from jaxreplay.study import config_of, run_study
 from jaxreplay.table import table
 
@@ -149,8 +153,8 @@ def test_a_row_of_the_table_is_a_cell_of_the_study():
     assert "in 1; at most by 2.0e-02" in audit
     assert "motor unit" in header
     assert [" ".join(row.split()) for row in rows[:3]] == [
-        "0.0025 on 2 1 0 0 0 1 0 2.00 ± 1.00 65.00 ± 5.00",
-        "0.0025 off 0 2 0 1 1 0 1 – –",
+        "0.0025 on 2 1 0 0 67 (21–94) 0 1 0 2.00 ± 1.00 65.00 ± 5.00",
+        "0.0025 off 0 2 0 1 0 (0–56) 1 0 1 – –",
         "",
     ]
 
@@ -159,6 +163,18 @@ def test_the_same_seed_gives_the_same_study(study, tmp_path):
     config, folder = study
     assert cli.main(["run", str(config), "--out", str(tmp_path)]) == 0
     xr.testing.assert_identical(jr.open_study(folder), jr.open_study(tmp_path))
+
+
+def test_a_study_made_before_a_factor_was_known_stays_what_it_was(study, monkeypatch):
+    config, folder = study
+    before = jr.open_study(folder)
+    held = manifest_of(load_config(config), records := Records.load(*folder.glob("*.npz")), 56)
+    assert held["hash"] == read_manifest(folder)["hash"]
+    new = FACTORS | {"mood": FACTORS["light"]}
+    for module in (factors, study_module, runs_module, config_module):
+        monkeypatch.setattr(module, "FACTORS", new)
+    xr.testing.assert_identical(jr.open_study(folder), before)
+    assert manifest_of(load_config(config), records, 56)["hash"] == held["hash"]
 
 
 def test_opening_what_is_no_study(tmp_path):
