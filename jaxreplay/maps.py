@@ -16,7 +16,7 @@ from jaxreplay.plane.demonstrator import DEMONSTRATED
 from jaxreplay.table import axes_of, cells
 
 COLUMNS = 4  # panels side by side
-MOST_ROWS = 4  # of figure 3
+MOST_ROWS = 4  # of figure 3, or panels of the plane
 MOST_POSITIONS = 12  # that are taken together
 COLOURS = "cividis"  # as light as it is large, to every eye and in grey
 
@@ -24,12 +24,12 @@ COLOURS = "cividis"  # as light as it is large, to every eye and in grey
 def draw(dataset: xr.Dataset, folder: Path) -> str:
     """Draw what suits a study, as PNG and PDF; returns the files' names.
 
-    Figure 3 for few values, else a map: of the plane if there are many positions, of two factors
-    if there are two numbers among them.
+    Figure 3 for few values, else a map of two factors if there are two numbers among them; a map
+    of the plane for many positions and few values.
     """
     dims = axes_of(dataset)
     sizes = sorted(dataset.sizes[d] for d in dims)
-    if dataset.sizes["position"] > MOST_POSITIONS:
+    if dataset.sizes["position"] > MOST_POSITIONS and np.prod(sizes) <= MOST_ROWS:
         name, figure = "map", position_map
     elif np.prod(sizes[:-1]) > MOST_ROWS and sum(FACTORS[d].numeric for d in dims) > 1:
         name, figure = "map", factor_map
