@@ -30,14 +30,13 @@ STYLES = (  # variable, label, marker, colour, its face, and how far beside the 
 def figure_3(dataset: xr.Dataset, path: str | Path) -> None:
     """Figure 3 of the paper over θ_I, or another axis; saved as the path's suffix says.
 
-    That is the first numeric axis, or the one with most values if there is none. A row for each
-    combination of the others.
+    That is the numeric axis with most values, or any if there is none. A row for each combination
+    of the others.
     """
     if not axes_of(dataset):
         dataset = dataset.expand_dims(theta_i=[config_of(dataset).fixed["theta_i"]])
     axes = axes_of(dataset)
-    numeric = [a for a in ("theta_i", *axes) if a in axes and FACTORS[a].numeric]
-    along = numeric[0] if numeric else max(axes, key=lambda a: dataset.sizes[a])
+    along = max(axes, key=lambda a: (a == "theta_i", FACTORS[a].numeric, dataset.sizes[a]))
     others = [a for a in axes if a != along]
     panels = list(cells(dataset, others))
     n = len(panels)
