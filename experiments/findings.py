@@ -103,11 +103,12 @@ def with_records(study: xr.Dataset) -> list[tuple[str, str]]:
     """Success, error and duration by how many records, or which, are replayed."""
     return [
         (
-            f"{jump}, {told}",
+            f"θ_I {theta_i:.2g}, {told}",
             f"{successes(cell)}, {mean(cell, 'alignment_error')} mm, {mean(cell, 'duration')} s",
         )
-        for jump in JUMPS
-        for told, cell in study.sel(jump=jump).groupby("records", squeeze=False)
+        for theta_i in study.theta_i.values
+        for told in study.records.values
+        for cell in [study.sel(theta_i=theta_i, records=told)]
     ]
 
 
