@@ -95,7 +95,7 @@ def position_map(dataset: xr.Dataset, path: str | Path) -> None:
 def _panels(n: int, width: float, height: float) -> tuple[Figure, list[Axes]]:
     columns = min(n, COLUMNS)
     rows = -(-n // columns)
-    size = (max(columns * width, 3) + 1.2, rows * height + 0.7)
+    size = (max(columns * width, 3) + 1.2, max(rows * height, 1.8) + 0.7)
     figure = Figure(figsize=size, layout="constrained")
     axes = figure.subplots(rows, columns, squeeze=False)
     for ax in axes.flat[n:]:
