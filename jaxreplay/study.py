@@ -143,11 +143,9 @@ def run_study(
                 shard = _run(config, records, runs.of(which), which, tell)
                 write_shard(folder, k, manifest, shard)
         elif todo:
-            calls = {
-                k: (config, records, runs.of(which), which, manifest) for k, which in todo.items()
-            }
+            calls = {k: (runs.of(which), which) for k, which in todo.items()}
             with workers() as run_each:
-                for k, shard in run_each(_run_elsewhere, calls):
+                for k, shard in run_each(_run_elsewhere, (config, records, manifest), calls):
                     write_shard(folder, k, manifest, shard)
                     outcome[todo[k]] = shard.outcome.values
                     duration[todo[k]] = shard.duration.values
@@ -184,9 +182,10 @@ def shard_size(config: StudyConfig) -> int:
 
 
 def _run_elsewhere(
-    config: StudyConfig, records: Records, runs: Runs, which: np.ndarray, manifest: dict[str, Any]
+    shared: tuple[StudyConfig, Records, dict[str, Any]], runs: Runs, which: np.ndarray
 ) -> xr.Dataset:
     """In a worker, which may have been set up otherwise."""
+    config, records, manifest = shared
     for what, here in (
         ("jaxreplay", version("jaxreplay")),
         ("dtype", str(jax.dtypes.canonicalize_dtype(np.float64))),

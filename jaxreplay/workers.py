@@ -19,7 +19,7 @@ PATIENCE = 10  # seconds, for a scheduler to answer
 # third of a step's time went into that.
 _KEEP_MEMORY = {"MALLOC_TRIM_THRESHOLD_": 2**30, "MALLOC_MMAP_THRESHOLD_": 2**30}
 
-RunEach = Callable[[Callable, dict[int, tuple]], Iterator[tuple[int, Any]]]
+RunEach = Callable[[Callable, Any, dict[int, tuple]], Iterator[tuple[int, Any]]]
 
 
 @contextmanager
@@ -61,9 +61,15 @@ def workers_of(scheduler: str) -> Iterator[RunEach]:
         yield partial(_run_each, client)
 
 
-def _run_each(client: Client, function: Callable, calls: dict[int, tuple]):
-    """Call a function with each of the arguments; keys and results, as they come."""
-    futures = {client.submit(function, *given, pure=False): key for key, given in calls.items()}
+def _run_each(client: Client, function: Callable, shared: Any, calls: dict[int, tuple]):
+    """Call a function with what is shared and each of the others; keys and results, as they come.
+
+    What is shared is sent once, as a task that is done again should its worker be lost.
+    """
+    held = client.submit(_same, shared, pure=False)
+    futures = {
+        client.submit(function, held, *given, pure=False): key for key, given in calls.items()
+    }
     try:
         for future in as_completed(futures):
             yield futures[future], future.result()
@@ -71,6 +77,10 @@ def _run_each(client: Client, function: Callable, calls: dict[int, tuple]):
         raise OSError(
             f"workers were lost: {error}; finished shards are kept, the same command goes on"
         ) from None
+
+
+def _same(shared: Any) -> Any:
+    return shared
 
 
 class _Settled(WorkerPlugin):
