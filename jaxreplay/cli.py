@@ -15,7 +15,9 @@ from tqdm import tqdm
 
 from jaxreplay.config import ConfigError, load_config
 from jaxreplay.figures import figure_3
+from jaxreplay.filter import PREDICTIONS
 from jaxreplay.machine import keep_compiled
+from jaxreplay.records import Records
 from jaxreplay.study import (
     OUTCOMES,
     STALLS,
@@ -93,6 +95,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
         help="a .gif, or a .png for a still of the end (default: run_RUN.gif beside the data)",
     )
     watch.set_defaults(action=_watch)
+    tune = commands.add_parser(
+        "tune",
+        help="choose parameters from records alone",
+        description="Leave each record out in turn, filter it with the others, and climb the log "
+        "evidence of what it observed. Prints and saves the parameters, and the curve climbed.",
+    )
+    tune.add_argument("records", type=Path, metavar="RECORDS", help="an .npz file of records")
+    tune.add_argument("--jump", choices=PREDICTIONS, default="same_tau", help="reading of a jump")
+    tune.add_argument("--steps", type=_count, default=100, metavar="N", help="(default: 100)")
+    tune.add_argument(
+        "--out",
+        type=Path,
+        metavar="FILE",
+        help="a .toml; the curve is put beside it as .png (default: beside RECORDS)",
+    )
+    tune.set_defaults(action=_tune)
     options = parser.parse_args(arguments)
     # A table in an encoding without θ is better than none.
     for stream in (sys.stdout, sys.stderr):
@@ -228,6 +246,37 @@ def _chosen(run: str, total: int, dataset: xr.Dataset | None) -> int:
     if len(found) == 0:
         raise ConfigError(f"--run {run}: no run of this study ended so")
     return int(found[0])
+
+
+def _tune(options: argparse.Namespace) -> int:
+    from jaxreplay.tuned import draw, text, tune, write
+    from jaxreplay.tuning import usual
+
+    path = options.out or options.records.with_name(f"{options.records.stem}_{options.jump}.toml")
+    if path.suffix != ".toml" or path.is_dir():
+        raise ConfigError(f"--out {path}: give a file whose name ends in .toml")
+    try:
+        records = Records.load(options.records)
+        if records.n_records < 2:
+            raise ValueError(
+                f"{options.records} holds 1 record; tuning leaves one out of 2 or more"
+            )
+    except ValueError as error:
+        raise ConfigError(str(error)) from None
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with tqdm(desc="climbing", unit="step", total=options.steps, disable=None) as bar:
+
+        def progress(what: str, done: int, total: int):
+            bar.set_description(what, refresh=False)
+            bar.total = total
+            bar.update(done - bar.n)
+
+        tuned = tune(records, usual(records), options.jump, options.steps, progress)
+    print(text(records, tuned))
+    write(records, tuned, options.records, path)
+    draw(records, tuned, path.with_suffix(".png"))
+    print(f"{path}: the parameters; {path.with_suffix('.png')}: the curve")
+    return DONE
 
 
 class _Progress:
