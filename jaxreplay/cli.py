@@ -103,7 +103,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     tune.add_argument("records", type=Path, metavar="RECORDS", help="an .npz file of records")
     tune.add_argument("--jump", choices=PREDICTIONS, default="same_tau", help="reading of a jump")
-    tune.add_argument("--steps", type=_count, default=100, metavar="N", help="(default: 100)")
+    tune.add_argument("--steps", type=_count, default=50, metavar="N", help="(default: 50)")
     tune.add_argument(
         "--out",
         type=Path,

@@ -8,6 +8,7 @@ import dataclasses
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
+from threading import Lock
 from typing import NamedTuple
 
 import jax
@@ -89,7 +90,7 @@ def leave_one_out(
         params: `[P]`-batched parameters, a whole grid of them if need be.
         jump: `"same_tau"` or `"own_tau"`.
         held_out: the records to hold out, one at a time; all if None. Fewer cost less.
-        progress: called with the time steps done and their total, from several threads.
+        progress: called with the time steps done and their total, one call at a time.
 
     Raises:
         ValueError: fewer than 2 records, or no such record.
@@ -99,7 +100,7 @@ def leave_one_out(
     sensors, commands = records.sequences()
     span = command_span(records)
     steps = np.array([len(sensors[i]) for i in chosen])
-    done = np.zeros(len(steps), int)
+    done, lock = np.zeros(len(steps), int), Lock()
     n = len(params.theta_i)
 
     def filtered(h: int) -> tuple[np.ndarray, np.ndarray]:
@@ -108,8 +109,9 @@ def leave_one_out(
         for z, v in zip(sensors[chosen[h]], commands[chosen[h]], strict=True):
             square += np.mean(((tracker.command - v) / span) ** 2, axis=1)
             evidence += tracker.advance(np.broadcast_to(z, (n, len(z))), everyone)[0]
-            done[h] += 1
-            progress(int(done.sum()), int(steps.sum()))
+            with lock:
+                done[h] += 1
+                progress(int(done.sum()), int(steps.sum()))
         return evidence, square
 
     with ThreadPoolExecutor(cores()) as threads:  # one for each core: a step keeps one busy
@@ -144,7 +146,7 @@ def climb(
     records: Records,
     start: Params,
     jump: str = "same_tau",
-    steps: int = 100,
+    steps: int = 50,
     seed: int = 0,
 ) -> Iterator[Params]:
     """Climb the log evidence of held-out records by its gradient, with Adam.
