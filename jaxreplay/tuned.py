@@ -91,6 +91,10 @@ def text(records: Records, tuned: Tuned) -> str:
         f"{name:{width}}{before:10.4g}{after:10.4g}  {about}".rstrip()
         for name, before, after, about in rows
     ]
+    if error[tuned.best] > error[0]:
+        lines.append(
+            "Commands are predicted worse than at the start: do not trust the evidence here."
+        )
     return "\n".join(lines)
 
 

@@ -179,13 +179,15 @@ def climb(
     first, last = RATES
     adam = optax.adam(optax.cosine_decay_schedule(first, steps, last / first))
     state = adam.init(free)
+    # Once, before the threads, each of which would compile it.
+    gradient = _gradient.lower(free, parts[0], seen[0], jump).compile()
     turns = _turns(records.n_records, np.random.default_rng(seed))
     yield _params(free)
     with ThreadPoolExecutor(cores()) as threads:
         for _ in range(steps):
             held_out = [next(turns) for _ in range(min(TOGETHER, records.n_records))]
             gradients = list(
-                threads.map(lambda i, at=free: _gradient(at, parts[i], seen[i], jump), held_out)
+                threads.map(lambda i, at=free: gradient(at, parts[i], seen[i]), held_out)
             )
             downhill = jax.tree.map(lambda *each: -sum(each), *gradients)
             step, state = adam.update(downhill, state)
