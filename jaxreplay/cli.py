@@ -1,23 +1,27 @@
 """The command line: thin, and without tracebacks for a user's mistake."""
 
 import argparse
+import os
 import sys
+import time
+import warnings
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from functools import partial
 from io import TextIOWrapper
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
 import numpy as np
 import xarray as xr
 from tqdm import tqdm
 
-from jaxreplay.config import ConfigError, load_config
-from jaxreplay.figures import figure_3
+from jaxreplay.config import ConfigError, StudyConfig, load_config
 from jaxreplay.filter import PREDICTIONS
-from jaxreplay.machine import keep_compiled
-from jaxreplay.records import Records
+from jaxreplay.machine import cores, keep_compiled
+from jaxreplay.maps import draw
+from jaxreplay.runs import runs_of, shards_of
 from jaxreplay.study import (
     OUTCOMES,
     STALLS,
@@ -25,8 +29,7 @@ from jaxreplay.study import (
     demonstrations,
     open_study,
     run_study,
-    runs_of,
-    shards_of,
+    shard_size,
 )
 from jaxreplay.table import table
 
@@ -63,7 +66,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
     where.add_argument(
         "--scheduler", metavar="ADDRESS", help="run shards on the workers of this Dask scheduler"
     )
-    run.add_argument("--dry-run", action="store_true", help="only tell how many runs it is")
+    run.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        dest="changes",
+        metavar="KEY=VALUE",
+        help="instead of what FILE says, e.g. axis.theta_i.logspace=[-1,-3,5] or jump=own_tau",
+    )
+    run.add_argument(
+        "--slots", type=_count, metavar="N", help="runs that advance together, as --set slots=N"
+    )
+    run.add_argument(
+        "--dry-run", action="store_true", help="only tell its size, and measure what it will cost"
+    )
     run.set_defaults(action=_run)
     for name, action, what in (
         ("show", _show, "print the table of a study"),
@@ -111,6 +127,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
         help="a .toml; the curve is put beside it as .png (default: beside RECORDS)",
     )
     tune.set_defaults(action=_tune)
+    inspect = commands.add_parser(
+        "inspect",
+        help="tell and draw what recordings hold",
+        description="Tell and draw what recordings hold, and what in them is worth a look.",
+    )
+    inspect.add_argument("records", type=Path, metavar="RECORDS", help="a .npz of Records.save")
+    inspect.add_argument(
+        "--out", type=Path, metavar="FILE", help="the figure (default: RECORDS, but .png)"
+    )
+    inspect.set_defaults(action=_inspect)
     options = parser.parse_args(arguments)
     # A table in an encoding without θ is better than none.
     for stream in (sys.stdout, sys.stderr):
@@ -118,10 +144,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
             stream.reconfigure(errors="replace")
     keep_compiled()
     try:
-        return options.action(options)
+        with warnings.catch_warnings():
+            warnings.showwarning = _warn
+            return options.action(options)
     except ConfigError as error:
         print(f"jaxreplay: {error}", file=sys.stderr)
         return MISTAKE
+    except BrokenPipeError:  # what read the output has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return DONE
     except OSError as error:
         where = f"{error.filename}: " if error.filename else ""
         print(f"jaxreplay: {where}{error.strerror or error}", file=sys.stderr)
@@ -131,15 +162,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return INTERRUPTED
 
 
+def _warn(message: Warning | str, *_):
+    print(f"jaxreplay: {message}", file=sys.stderr)
+
+
 def _run(options: argparse.Namespace) -> int:
-    config = load_config(options.file)
+    slots = [f"slots={options.slots}"] if options.slots else []
+    config = load_config(options.file, options.changes + slots)
     folder = options.out or Path("results") / options.file.stem
     if folder.exists() and not folder.is_dir():
         raise ConfigError(f"--out {folder} is a file; give a folder")
     runs = runs_of(config)
-    shards = len(shards_of(runs))
+    shards = len(shards_of(runs, shard_size(config)))
     print(f"{folder}: {len(runs)} runs in {shards} shard{'s' * (shards > 1)}", file=sys.stderr)
     if options.dry_run:
+        print(_cost(config, folder, len(runs), options.workers), file=sys.stderr)
         return DONE
     try:
         dataset = run_study(config, folder, _Progress(len(runs)), _workers(options))
@@ -149,10 +186,25 @@ def _run(options: argparse.Namespace) -> int:
             file=sys.stderr,
         )
         return INTERRUPTED
-    _draw(dataset, folder)
+    drawn = draw(dataset, folder)
     print(table(dataset))
-    print(f"{folder}: the study, figure_3.png and figure_3.pdf")
+    print(f"{folder}: the study, {drawn}")
     return DONE
+
+
+def _cost(config: StudyConfig, folder: Path, runs: int, workers: int | None) -> str:
+    from jaxreplay.estimate import SAMPLE, estimate
+
+    print(f"measuring, on {SAMPLE} of them", file=sys.stderr)
+    with TemporaryDirectory() as elsewhere:
+        place = folder if folder.exists() else Path(elsewhere)
+        cost = estimate(config, demonstrations(config, place))
+    n = min(workers or cores(), cores())
+    minutes = runs * cost.seconds / n / 60
+    return (
+        f"about {minutes:.0f} min on {n} core{'s' * (n > 1)} ({cost.seconds:.2f} s a run on one), "
+        f"{cost.memory / 2**30:.1f} GiB{' a worker' if workers else ''}"
+    )
 
 
 def _workers(options: argparse.Namespace) -> "Callable[[], AbstractContextManager[RunEach]] | None":
@@ -178,8 +230,7 @@ def _show(options: argparse.Namespace) -> int:
 
 
 def _plot(options: argparse.Namespace) -> int:
-    _draw(_opened(options.folder), options.folder)
-    print(f"{options.folder}: figure_3.png and figure_3.pdf")
+    print(f"{options.folder}: {draw(_opened(options.folder), options.folder)}")
     return DONE
 
 
@@ -192,11 +243,6 @@ def _opened(folder: Path) -> xr.Dataset:
     if missing:
         print(f"{folder}: {missing} of {dataset.outcome.size} runs are missing", file=sys.stderr)
     return dataset
-
-
-def _draw(dataset: xr.Dataset, folder: Path):
-    for suffix in ("png", "pdf"):
-        figure_3(dataset, folder / f"figure_3.{suffix}")
 
 
 def _speed(text: str) -> float:
@@ -231,6 +277,26 @@ def _watch(options: argparse.Namespace) -> int:
     return DONE
 
 
+def _inspect(options: argparse.Namespace) -> int:
+    from jaxreplay.inspection import inspect, report
+    from jaxreplay.inspection_figure import FORMATS, inspection_figure
+    from jaxreplay.records import Records
+
+    path = options.out or options.records.with_suffix(".png")
+    if path.suffix[1:] not in FORMATS or path == options.records:
+        raise ConfigError(f"--out {path}: let its name end in one of .{', .'.join(FORMATS)}")
+    try:
+        records = Records.load(options.records)
+    except ValueError as error:
+        raise ConfigError(str(error)) from None
+    path.parent.mkdir(parents=True, exist_ok=True)
+    inspection = inspect(records)
+    print(report(inspection))
+    inspection_figure(records, inspection, path)
+    print(path)
+    return DONE
+
+
 def _chosen(run: str, total: int, dataset: xr.Dataset | None) -> int:
     """The number of the run that was asked for."""
     if run.isdecimal():
@@ -249,6 +315,7 @@ def _chosen(run: str, total: int, dataset: xr.Dataset | None) -> int:
 
 
 def _tune(options: argparse.Namespace) -> int:
+    from jaxreplay.records import Records
     from jaxreplay.tuned import draw, text, tune, write
     from jaxreplay.tuning import usual
 
@@ -283,21 +350,29 @@ class _Progress:
     """A line kept up to date on a terminal; else one whenever a tenth more of the runs is done."""
 
     def __init__(self, total: int):
-        self._total, self._told = total, 0
+        self._total, self._began, self._told = total, None, 0
         self._bar = tqdm(
             total=total,
             bar_format="{n} of {total} runs [{elapsed}<{remaining}]{postfix}",
             disable=None,
         )
 
-    def __call__(self, outcome: np.ndarray):
+    def __call__(self, outcome: np.ndarray, duration: np.ndarray):
         done = int(np.sum(outcome != ""))
+        simulated, now = float(duration.sum()), time.monotonic()
+        if self._began is None:  # what was done in an earlier sitting counts as done, but not here
+            self._began = now, simulated
+            self._bar.initial, self._told = done, 10 * done // self._total
+        since, already = self._began
         counts = ", ".join(f"{name} {np.sum(outcome == name)}" for name in OUTCOMES)
+        rate = (simulated - already) / max(now - since, 1e-9)
+        told = f"{counts}; {rate:.0f} simulated s a second"
         self._bar.n = done
-        self._bar.set_postfix_str(counts, refresh=False)
+        self._bar.set_postfix_str(told, refresh=False)
         self._bar.update(0)
         if self._bar.disable and 10 * done // self._total > self._told:
             self._told = 10 * done // self._total
-            print(f"{done} of {self._total} runs: {counts}", file=sys.stderr)
+            left = (now - since) * (self._total - done) / max(done - self._bar.initial, 1)
+            print(f"{done} of {self._total} runs: {told}, {left:.0f} s left", file=sys.stderr)
         if done == self._total:
             self._bar.close()

@@ -1,72 +1,25 @@
 """The TOML file that describes a study, strictly checked."""
 
-import difflib
 import tomllib
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from jaxreplay.filter import PREDICTIONS
-from jaxreplay.plane.options import SETTINGS
-from jaxreplay.plane.params import PlaneParams
+from jaxreplay.factors import FACTORS, MUST, number, whole
+from jaxreplay.plane.demonstrator import TESTED
+from jaxreplay.plane.options import unknown
+
+SLOTS = 56  # worlds that advance together, unless a study says otherwise
+# Where a cube can be laid in the experimental area, clear of the robot: m ahead, m to the left.
+CUBE_X, CUBE_Y = (0.2, 0.7), (-0.3, 0.3)
 
 
 class ConfigError(ValueError):
     """A user's mistake in a study's description; the message names file, key and remedy."""
-
-
-class Factor(NamedTuple):
-    """Something a study can vary: what it may be, and what it is when nothing is said.
-
-    Attributes:
-        default: None where it must be given.
-        allowed: least and greatest of a number, or all values.
-        symbol: how tables and figures call it.
-        units: of a number.
-        long_name: in words.
-    """
-
-    default: Any
-    allowed: tuple
-    symbol: str
-    units: str
-    long_name: str
-
-    @property
-    def numeric(self) -> bool:
-        """Whether it is a number between two others."""
-        return self.units != ""
-
-
-_PLANE = PlaneParams()
-FACTORS = {
-    "theta_i": Factor(None, (0, 1), "θ_I", "1", "probability to jump to another record"),
-    "theta_tau": Factor(0.05, (0, 0.5), "θ_τ", "1", "probability to stay, and to skip"),
-    "sigma": Factor(0.1, (1e-6, 1e6), "σ", "1", "σ of every sensor, as a share of its range"),
-    "jump": Factor("same_tau", tuple(PREDICTIONS), "jump", "", "reading of a jump"),
-    "dithering": Factor(
-        _PLANE.dithering, (False, True), "dithering", "", "temporal dithering of the tracks"
-    ),
-    "motor_unit": Factor(
-        _PLANE.motor_unit, SETTINGS["motor_unit"], "motor unit", "m/s", "what track speeds round to"
-    ),
-    "battery": Factor(
-        _PLANE.battery,
-        SETTINGS["battery"],
-        "battery",
-        "1",
-        "voltage, as a share of a full battery's",
-    ),
-    "sensor_noise": Factor(
-        _PLANE.sensor_noise,
-        SETTINGS["sensor_noise"],
-        "sensor noise",
-        "1",
-        "factor on the sensors' noise",
-    ),
-}
 
 
 @dataclass(frozen=True)
@@ -76,20 +29,38 @@ class StudyConfig:
     Attributes:
         axes: for each factor that varies, its values, in the file's order.
         fixed: the value of every other factor.
+        zip: groups of axes that move together.
+        positions: where cubes stand, (x, y) in m from the robot's start.
         repeats: runs at each test position.
         seed: of the demonstrations and the runs, a non-negative integer.
+        slots: worlds that advance together.
         demonstrations: file of records to replay; recorded by the demonstrator when None.
     """
 
     axes: dict[str, tuple]
     fixed: dict[str, Any]
+    zip: tuple[tuple[str, ...], ...] = ()
+    positions: tuple[tuple[float, float], ...] = tuple(map(tuple, TESTED.tolist()))
     repeats: int = 3
     seed: int = 0
+    slots: int = SLOTS
     demonstrations: Path | None = None
 
+    @property
+    def dims(self) -> dict[str, tuple[str, ...]]:
+        """The dimensions of the axes, each named for the first of those that move along it."""
+        group_of = {name: group for group in self.zip for name in group}
+        groups = [group_of.get(name, (name,)) for name in self.axes]
+        return {group[0]: group for group in groups}
 
-def load_config(path: str | Path) -> StudyConfig:
+
+def load_config(path: str | Path, changes: Sequence[str] = ()) -> StudyConfig:
     """Read and check a study's description.
+
+    Args:
+        path: a TOML file.
+        changes: what replaces the file's, each `KEY=VALUE` with the key dotted as in the file,
+            such as `"axis.theta_i.logspace=[-1, -3, 5]"`; paths in them are not relative to it.
 
     Raises:
         ConfigError: no such file, not TOML, an unknown key, a value of the wrong type or out
@@ -103,116 +74,162 @@ def load_config(path: str | Path) -> StudyConfig:
         raise ConfigError(f"{path}: cannot be read: {error.strerror}") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise ConfigError(f"{path}: is not TOML: {error}") from None
+    if isinstance(given.get("demonstrations"), str):
+        given["demonstrations"] = str(path.parent / given["demonstrations"])
     try:
-        return _parse(given, path.parent)
-    except ConfigError as error:
+        for change in changes:
+            _change(given, change)
+        return _parse(given)
+    except ValueError as error:
         raise ConfigError(f"{path}: {error}") from None
 
 
-def _parse(given: dict, folder: Path) -> StudyConfig:
+def _change(given: dict, change: str):
+    key, equals, text = change.partition("=")
+    *path, last = key.strip().split(".")
+    if not equals or not last:
+        raise ValueError(f"--set {change}: give KEY=VALUE, such as axis.theta_i=[0.1, 0.01]")
+    try:
+        value = tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        value = text.strip()  # a word without its quotes
+    # A factor has either a value or an axis, and an axis is spaced in one way.
+    if path[:1] == ["axis"]:
+        given.pop((*path, last)[1], None)
+    elif not path and isinstance(given.get("axis"), dict):
+        given["axis"].pop(last, None)
+    for name in path:
+        if not isinstance(given.get(name), dict):
+            given[name] = {}
+        given = given[name]
+    if last in ("linspace", "logspace"):
+        given.clear()
+    given[last] = value
+
+
+def _parse(given: dict) -> StudyConfig:
     axis = given.pop("axis", {})
     if not isinstance(axis, dict):
-        raise ConfigError(f"axis must be a table, [axis]; got {axis!r}")
-    _known(given, (*FACTORS, "repeats", "seed", "demonstrations", "axis"), "")
+        raise ValueError(f"axis must be a table, [axis]; got {axis!r}")
+    others = {
+        "zip": lambda value, key: _zip(value, key, axes),
+        "positions": _positions,
+        "repeats": whole(1, 10_000),
+        "seed": whole(0, 2**63 - 1),
+        "slots": whole(1, 4096),
+        "demonstrations": _file,
+    }
+    _known(given, (*FACTORS, *others, "axis"), "")
     _known(axis, tuple(FACTORS), "axis.")
-    axes = {name: _axis(axis[name], name) for name in axis}
+    axes = {
+        name: tuple(_values(value, f"axis.{name}", FACTORS[name].read))
+        for name, value in axis.items()
+    }
     fixed = {}
     for name, factor in FACTORS.items():
         if name in given and name in axes:
-            raise ConfigError(f"{name} and axis.{name} are both given; keep one")
+            raise ValueError(f"{name} and axis.{name} are both given; keep one")
         if name in given:
-            fixed[name] = _value(given[name], name, factor)
+            fixed[name] = factor.read(given[name], name)
         elif name not in axes:
-            if factor.default is None:
-                raise ConfigError(f"{name} is missing; give one value, or a list as axis.{name}")
+            if factor.default is MUST:
+                raise ValueError(f"{name} is missing; give one value, or a list as axis.{name}")
             fixed[name] = factor.default
-
-    others = {}
-    for key, low, high in (("repeats", 1, 10_000), ("seed", 0, 2**63 - 1)):
-        if key in given:
-            others[key] = _integer(given[key], key, low, high)
-    if "demonstrations" in given:
-        if not isinstance(given["demonstrations"], str):
-            raise ConfigError(
-                f"demonstrations must be a file's path; got {given['demonstrations']!r}"
-            )
-        others["demonstrations"] = folder / given["demonstrations"]
-        if not others["demonstrations"].is_file():
-            raise ConfigError(f"demonstrations: there is no file {others['demonstrations']}")
-    return StudyConfig(axes, fixed, **others)
+    config = StudyConfig(
+        axes, fixed, **{key: read(given[key], key) for key, read in others.items() if key in given}
+    )
+    for group in config.dims.values():  # of axes that move together, one may stand still
+        together = list(zip(*(axes[name] for name in group), strict=True))
+        _distinct(together, ", ".join(f"axis.{name}" for name in group))
+    return config
 
 
 def _known(given: dict, allowed: tuple[str, ...], prefix: str):
     for key in given:
         if key not in allowed:
-            near = difflib.get_close_matches(key, allowed, n=1)
-            hint = f"; did you mean {prefix}{near[0]}?" if near else ""
-            raise ConfigError(
-                f"unknown key {prefix}{key}{hint} (known: {', '.join(prefix + a for a in allowed)})"
-            )
+            known = [f"{prefix}{name}" for name in allowed]
+            raise ValueError(f"unknown key {unknown(prefix + key, known)}")
 
 
-def _axis(given, name: str) -> tuple:
-    key = f"axis.{name}"
-    values = tuple(
-        _value(v, f"{key}[{i}]", FACTORS[name]) for i, v in enumerate(_values(given, key))
-    )
+def _distinct(values: list, key: str) -> tuple:
+    """All of them, if none stands there twice."""
     if len(set(values)) != len(values):
-        raise ConfigError(f"{key} holds a value twice: {list(values)}")
-    return values
+        twice = next(value for value in values if values.count(value) > 1)
+        raise ValueError(f"{key} holds a value twice: {twice}")
+    return tuple(values)
 
 
-def _values(given, key: str) -> list:
+def _values(given, key: str, read: Callable[[Any, str], Any]) -> list:
     """A list as it stands, or spaced evenly, or spaced evenly between exponents of 10."""
-    if not isinstance(given, dict):
-        return _list(given, key)
+    if isinstance(given, dict):
+        given = _spaced(given, key)
+    elif not isinstance(given, list) or not given:
+        hint = "" if isinstance(given, list) else f"; write [{given!r}]"
+        raise ValueError(f"{key} must be a list of at least one value; got {given!r}{hint}")
+    return [read(value, f"{key}[{i}]") for i, value in enumerate(given)]
+
+
+def _spaced(given: dict, key: str) -> list[float]:
     _known(given, ("linspace", "logspace"), f"{key}.")
     if len(given) != 1:
-        raise ConfigError(f"{key} needs a list, or one of linspace and logspace; got {given!r}")
+        raise ValueError(f"{key} needs a list, or one of linspace and logspace; got {given!r}")
     ((way, span),) = given.items()
     what = "exponent" if way == "logspace" else "value"
     if not isinstance(span, list) or len(span) != 3:
-        raise ConfigError(
-            f"{key}.{way} must be [first {what}, last {what}, how many]; got {span!r}"
-        )
-    first, last = (_number(v, f"{key}.{way}[{i}]", -300, 300) for i, v in enumerate(span[:2]))
-    count = _integer(span[2], f"{key}.{way}[2]", 1, 10_000)
+        raise ValueError(f"{key}.{way} must be [first {what}, last {what}, how many]; got {span!r}")
+    first, last = (number(-300, 300)(v, f"{key}.{way}[{i}]") for i, v in enumerate(span[:2]))
+    count = whole(1, 10_000)(span[2], f"{key}.{way}[2]")
     # Rounded, that the value written and the value meant are one.
     values = [float(f"{value:.12g}") for value in np.linspace(first, last, count)]
     return [float(f"{10.0**v:.12g}") for v in values] if way == "logspace" else values
 
 
-def _list(given, key: str) -> list:
-    if not isinstance(given, list) or not given:
-        hint = "" if isinstance(given, list | dict) else f"; write [{given!r}]"
-        raise ConfigError(f"{key} must be a list of at least one value; got {given!r}{hint}")
-    return given
-
-
-def _value(given, key: str, factor: Factor):
-    if factor.numeric:
-        return _number(given, key, *factor.allowed)
-    if type(given) is not type(factor.default) or given not in factor.allowed:
-        allowed = ", ".join(
-            str(a).lower() if a in (True, False) else repr(a) for a in factor.allowed
+def _zip(given, key: str, axes: dict[str, tuple]) -> tuple[tuple[str, ...], ...]:
+    if not isinstance(given, list) or not all(isinstance(g, list) and len(g) > 1 for g in given):
+        raise ValueError(
+            f'{key} must list groups of axes, such as [["motor_unit", "battery"]]; got {given!r}'
         )
-        raise ConfigError(f"{key} must be one of {allowed}; got {given!r}")
-    return given
+    names = [name for group in given for name in group]
+    for name in names:
+        if name not in axes:
+            raise ValueError(f"{key} names {name!r}, which is no axis here ({', '.join(axes)})")
+    _distinct(names, key)
+    for group in given:
+        lengths = [len(axes[name]) for name in group]
+        if len(set(lengths)) > 1:
+            raise ValueError(
+                f"{key}: {', '.join(group)} have {lengths} values; give as many of each"
+            )
+    return tuple(map(tuple, given))
 
 
-def _number(given, key: str, low: float, high: float) -> float:
-    if isinstance(given, bool) or not isinstance(given, int | float):
-        raise ConfigError(f"{key} must be a number; got {given!r}")
-    if not low <= given <= high:
-        raise ConfigError(f"{key} must be in [{low:g}, {high:g}]; got {_short(given)}")
-    return float(given)
+def _positions(given, key: str) -> tuple[tuple[float, float], ...]:
+    """Where cubes stand: a list of [x, y], or a table of x and y of which all pairs are meant."""
+    x, y = number(*CUBE_X), number(*CUBE_Y)
+    if isinstance(given, dict):
+        _known(given, ("x", "y"), f"{key}.")
+        if len(given) != 2:
+            raise ValueError(f"{key} needs x and y, or a list of [x, y]; got {given!r}")
+        xs, ys = (_values(given[k], f"{key}.{k}", read) for k, read in (("x", x), ("y", y)))
+        return _distinct(list(product(xs, ys)), key)
+    if not isinstance(given, list) or not given:
+        raise ValueError(f"{key} must be a list of [x, y] in m; got {given!r}")
+    pairs = []
+    for i, pair in enumerate(given):
+        if not isinstance(pair, list) or len(pair) != 2:
+            raise ValueError(f"{key}[{i}] must be [x, y] in m; got {pair!r}")
+        pairs.append(
+            tuple(
+                read(v, f"{key}[{i}][{k}]")
+                for k, (read, v) in enumerate(zip((x, y), pair, strict=True))
+            )
+        )
+    return _distinct(pairs, key)
 
 
-def _integer(given, key: str, low: int, high: int) -> int:
-    if isinstance(given, bool) or not isinstance(given, int) or not low <= given <= high:
-        raise ConfigError(f"{key} must be a whole number from {low} to {high}; got {_short(given)}")
-    return given
-
-
-def _short(given) -> str:
-    return repr(given) if len(repr(given)) <= 40 else repr(given)[:40] + "…"
+def _file(given, key: str) -> Path:
+    if not isinstance(given, str):
+        raise ValueError(f"{key} must be a file's path; got {given!r}")
+    if not Path(given).is_file():
+        raise ValueError(f"{key}: there is no file {given}")
+    return Path(given)

@@ -6,14 +6,15 @@ import matplotlib.pyplot as plt
 import numpy as np
 import xarray as xr
 
-from jaxreplay.config import FACTORS
+from jaxreplay.factors import FACTORS
 from jaxreplay.study import OUTCOMES, config_of
-from jaxreplay.table import axes_of, cells, short, standard_error, units
+from jaxreplay.table import axes_of, cells, short, standard_error, units, wilson
 
 # From light to dark, hatched besides, so that they are told apart in grey.
 COLOURS = {"S": "#cfe8cf", "Fs": "#f2b872", "Fg": "#c0504d", "Fb": "#3b3b58"}
 HATCHES = {"S": "", "Fs": "//", "Fg": "..", "Fb": "xx"}
 MEANINGS = {"S": "success", "Fs": "over 3 minutes", "Fg": "no grasp", "Fb": "left the area"}
+SYMBOLS = {"theta_i": "$\\theta_I$, ", "theta_tau": "$\\theta_\\tau$, "}
 READINGS = {
     "same_tau": "a jump keeps the moment τ (same_tau)",
     "own_tau": "a jump lands where the record stands (own_tau)",
@@ -25,14 +26,16 @@ STYLES = (  # variable, label, marker, colour, its face, and how far beside the 
 
 
 def figure_3(dataset: xr.Dataset, path: str | Path) -> None:
-    """Figure 3 of the paper over a study's first numeric axis; saved as the path's suffix says.
+    """Figure 3 of the paper over θ_I, or another axis; saved as the path's suffix says.
 
-    A row for each combination of the other axes.
+    That is the first numeric axis, or the one with most values if there is none. A row for each
+    combination of the others.
     """
     if not axes_of(dataset):
         dataset = dataset.expand_dims(theta_i=[config_of(dataset).fixed["theta_i"]])
     axes = axes_of(dataset)
-    along = next((a for a in ("theta_i", *axes) if a in axes and FACTORS[a].numeric), axes[0])
+    numeric = [a for a in ("theta_i", *axes) if a in axes and FACTORS[a].numeric]
+    along = numeric[0] if numeric else max(axes, key=lambda a: dataset.sizes[a])
     others = [a for a in axes if a != along]
     panels = list(cells(dataset, others))
     n = len(panels)
@@ -45,33 +48,42 @@ def figure_3(dataset: xr.Dataset, path: str | Path) -> None:
         for row, (values, runs) in zip(rows, panels, strict=True):
             _outcomes(row[0], runs, along)
             _error_and_duration(row[1], runs, along, tops)
-            row[0].set_title(_title(values), loc="left", fontsize=9)
-        symbol = "$\\theta_I$, " if along == "theta_i" else ""
-        unit = units(along) and f",{units(along)}"
+            row[0].set_title(title(values), loc="left", fontsize=9)
         for ax in rows[-1]:
-            ax.set_xlabel(f"{symbol}{FACTORS[along].long_name}{unit}")
+            ax.set_xlabel(label(along))
         handles, labels = rows[0][0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside upper center", ncols=4, frameon=False)
         figure.savefig(path, dpi=150)
         plt.close(figure)
 
 
-def _title(values: dict) -> str:
+def title(values: dict) -> str:
+    """Factors' values, for a panel."""
     return ", ".join(
         READINGS[value] if axis == "jump" else f"{FACTORS[axis].symbol} {short(value)}{units(axis)}"
         for axis, value in values.items()
     )
 
 
+def label(axis: str) -> str:
+    """Of an axis: what varies along it, and its unit."""
+    symbol = SYMBOLS.get(axis, "")
+    unit = units(axis) and f",{units(axis)}"
+    return f"{symbol}{FACTORS[axis].long_name}{unit}"
+
+
+def write(axis: str, value) -> str:
+    """A factor's value at a tick."""
+    if axis == "theta_i":
+        return "0" if value == 0 else f"$10^{{{np.log10(value):.3g}}}$"
+    return short(value)
+
+
 def _axis(axes: plt.Axes, runs: xr.Dataset, along: str):
-    values = runs[along].values
-    write = _power if along == "theta_i" else short
-    axes.set_xticks(range(len(values)), [write(value) for value in values])
-    axes.set_xlim(-0.6, len(values) - 0.4)
-
-
-def _power(value: float) -> str:
-    return "0" if value == 0 else f"$10^{{{np.log10(value):.3g}}}$"
+    texts = [write(along, value) for value in runs[along].values]
+    steep = max(map(len, texts)) > 8 and along != "theta_i"
+    axes.set_xticks(range(len(texts)), texts, rotation=90 if steep else 0)
+    axes.set_xlim(-0.6, len(texts) - 0.4)
 
 
 def _outcomes(axes: plt.Axes, runs: xr.Dataset, along: str):
@@ -86,7 +98,12 @@ def _outcomes(axes: plt.Axes, runs: xr.Dataset, along: str):
             color=COLOURS[outcome], hatch=HATCHES[outcome], edgecolor="black", linewidth=0.5,
         )  # fmt: skip
         bottom += share
-    axes.set_ylabel(f"runs, % (of {total[0]} each)")
+    rates = 100 * counts["S"] / np.maximum(total, 1)
+    reach = 100 * np.transpose([wilson(*pair) for pair in zip(counts["S"], total, strict=True)])
+    axes.errorbar(
+        range(len(total)), rates, np.abs(reach - rates), fmt="none", color="black", capsize=3, lw=1
+    )
+    axes.set_ylabel(f"runs, % (of {max(total)} each; bars: 95 % of S)")
     axes.set_ylim(0, 100)
     axes.spines["right"].set_visible(False)
     _axis(axes, runs, along)

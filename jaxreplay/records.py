@@ -3,7 +3,7 @@
 import zipfile
 import zlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from numbers import Real
 from pathlib import Path
@@ -23,7 +23,7 @@ _BROKEN_ZIP = (zipfile.BadZipFile, zlib.error)
 )
 @dataclass(frozen=True)
 class Records:
-    """N records of unequal lengths L_i, as arrays padded to L = max_i L_i.
+    """N records of unequal lengths L_i, as arrays padded to L ≥ max_i L_i.
 
     Row t of a record is the command v_t and the observation ζ_t made *after* it, the order
     of § 2.3. An observation made before the first command has no row. (Minari and
@@ -140,7 +140,7 @@ class Records:
 
     @property
     def longest(self) -> int:
-        """L = max_i L_i."""
+        """L, the length that records are padded to."""
         return self.commands.shape[-1]
 
     def sequences(self) -> tuple[list[np.ndarray], list[np.ndarray]]:
@@ -177,18 +177,23 @@ class Records:
     def subset(self, which: Sequence[int]) -> "Records":
         """The records with these indices (from 0), in this order.
 
+        They stay padded to L, so that what was compiled for as many of them serves.
+
         Raises:
             ValueError: an index outside 0 … N − 1, or none.
         """
+        which = list(which)
+        if not which:
+            raise ValueError("records need at least one demonstration; got none")
         if bad := [i for i in which if not 0 <= i < self.n_records]:
             raise ValueError(f"no record {bad[0]}: there are {self.n_records}, counted from 0")
-        sensors, commands = self.sequences()
-        return Records.from_sequences(
-            [sensors[i] for i in which],
-            [commands[i] for i in which],
-            self.sensor_names,
-            self.command_names,
-            self.period,
+        nodes = self.nodes[:, np.array(which)]
+        return replace(
+            self,
+            nodes=nodes,
+            commands=self.commands[:, np.array(which)],
+            lengths=self.lengths[np.array(which)],
+            span=jnp.stack([nodes.min((1, 2)), nodes.max((1, 2))]),
         )
 
     def save(self, path: str | Path) -> None:

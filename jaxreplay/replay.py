@@ -29,6 +29,7 @@ class Replays(NamedTuple):
         info: what the environment told at each replay's last step, `[n]` for each name; NaN or
             empty where it told nothing.
         widened: `[n]` how often a step was done again in a wider window.
+        dropped: `[n]` log2 of the likeliest hypothesis that windows dropped; −inf for none.
         observations: of each replay that was asked for, a list of its `[n_s]` Z_t.
     """
 
@@ -38,6 +39,7 @@ class Replays(NamedTuple):
     log_evidence: np.ndarray
     info: dict[str, np.ndarray]
     widened: np.ndarray
+    dropped: np.ndarray
     observations: dict[int, list[np.ndarray]]
 
 
@@ -82,6 +84,7 @@ def replay(
         log_evidence=np.zeros(n),
         info={},
         widened=np.zeros(n, int),
+        dropped=np.full(n, -np.inf),
         observations={k: [] for k in keep},
     )
     # Chunks of one size, so that one program serves all; the last is filled up with lanes that
@@ -128,10 +131,13 @@ def replay(
             for b in np.flatnonzero(going[:slots]):
                 if run[b] in done.observations:
                     done.observations[run[b]].append(z[b].copy())
-            widened = np.concatenate([chunk.widened for chunk in chunks])
+            widened, dropped = (
+                np.concatenate([getattr(chunk, name) for chunk in chunks])[:slots]
+                for name in ("widened", "dropped")
+            )
             now, busy = run[:slots][going[:slots]], going[:slots].copy()
             done.steps[now] += 1
-            done.widened[now] = widened[:slots][busy]
+            done.widened[now], done.dropped[now] = widened[busy], dropped[busy]
             done.reward[now] += reward[busy]
             done.log_evidence[now] += gained[:slots][busy]
             completed = at_end[:slots] > COMPLETED

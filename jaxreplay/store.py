@@ -7,6 +7,7 @@ what it had finished is kept.
 import hashlib
 import json
 import os
+import warnings
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
@@ -35,8 +36,11 @@ def manifest_of(config: StudyConfig, records: Records, shard: int) -> dict[str, 
     held = hashlib.sha256()
     for array in (records.nodes, records.commands, records.lengths, records.offset):
         held.update(np.ascontiguousarray(array).tobytes())
+    told = asdict(config) | {"demonstrations": str(config.demonstrations or "")}
+    # What is not said is left out, so that a study made before a factor was known stays the same.
+    told["fixed"] = {name: value for name, value in told["fixed"].items() if value is not None}
     made_of = {
-        "config": asdict(config) | {"demonstrations": str(config.demonstrations or "")},
+        "config": told,
         "plane": asdict(PlaneParams()),
         "demonstrations": held.hexdigest(),
         "dtype": str(records.nodes.dtype),
@@ -131,7 +135,7 @@ def set_aside(path: Path):
     """Keep a file that is in the way, under another name."""
     aside = path.with_suffix(f"{path.suffix}.bad")
     os.replace(path, aside)
-    print(f"{path} is torn or not of this study; kept as {aside.name}")
+    warnings.warn(f"{path} is torn or not of this study; kept as {aside.name}", stacklevel=2)
 
 
 def _path(folder: Path, k: int) -> Path:

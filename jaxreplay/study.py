@@ -3,27 +3,25 @@
 import hashlib
 import json
 import platform
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import asdict
 from importlib.metadata import version
-from itertools import product
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import jax
 import numpy as np
 import xarray as xr
 
 from jaxreplay.audit import audit
-from jaxreplay.config import FACTORS, ConfigError, StudyConfig
-from jaxreplay.params import Params
-from jaxreplay.plane.demonstrator import DEMONSTRATED, TESTED, facing, record
-from jaxreplay.plane.env import PlaneVectorEnv
-from jaxreplay.plane.options import SETTINGS
-from jaxreplay.plane.params import COMMAND_NAMES, SENSOR_NAMES, SENSOR_RANGES, PlaneParams
+from jaxreplay.config import SLOTS, ConfigError, StudyConfig
+from jaxreplay.factors import FACTORS, chosen_records
+from jaxreplay.plane.demonstrator import DEMONSTRATED, record
+from jaxreplay.plane.params import COMMAND_NAMES, SENSOR_NAMES, PlaneParams
 from jaxreplay.records import Records
 from jaxreplay.replay import Replays, replay
+from jaxreplay.runs import Runs, records_of, runs_of, setting, shards_of, worlds_for
 from jaxreplay.store import claimed, manifest_of, read_manifest, read_shard, write_shard
 
 if TYPE_CHECKING:
@@ -31,8 +29,8 @@ if TYPE_CHECKING:
 
 OUTCOMES = ("S", "Fs", "Fg", "Fb")  # as in figure 3
 STALLS = ("fixed", "cyclic", "slow")
-SLOTS = 56  # worlds that advance together
-SHARD = 56  # runs that are kept together once all are finished; the first of them is audited
+SHARD = SLOTS  # runs that are kept together once all are finished, or as many as there are slots
+AUDITED = 56  # one run in so many is filtered again without windows
 
 
 def demonstrations(config: StudyConfig, folder: Path) -> Records:
@@ -71,61 +69,13 @@ def demonstrations(config: StudyConfig, folder: Path) -> Records:
             f"{path}: its rows are {records.period} s apart; the plane's control period is "
             f"{plane.control_period} s: resample them"
         )
+    for told in config.axes.get("records", (config.fixed.get("records"),)):
+        if told is not None:
+            try:
+                chosen_records(told, records.n_records, config.seed, 0)
+            except ValueError as error:
+                raise ConfigError(f"{error} (of {path})") from None
     return records
-
-
-class Runs(NamedTuple):
-    """The n runs of a study, in the order of its dataset's dimensions.
-
-    Attributes:
-        values: for each factor, its value in each run, `[n]`.
-        position: `[n]` index into the test positions.
-        repeat: `[n]`.
-    """
-
-    values: dict[str, np.ndarray]
-    position: np.ndarray
-    repeat: np.ndarray
-
-    def __len__(self) -> int:
-        """How many."""
-        return len(self.position)
-
-    def of(self, which: np.ndarray) -> "Runs":
-        """Some of them."""
-        values = {name: value[which] for name, value in self.values.items()}
-        return Runs(values, self.position[which], self.repeat[which])
-
-
-def runs_of(config: StudyConfig) -> Runs:
-    """All runs of a study: every combination of its axes × test positions × repeats."""
-    grid = list(product(*config.axes.values(), range(len(TESTED)), range(config.repeats)))
-    *columns, position, repeat = (np.array(column) for column in zip(*grid, strict=True))
-    values = {name: np.full(len(grid), value) for name, value in config.fixed.items()}
-    values |= dict(zip(config.axes, columns, strict=True))
-    return Runs({name: values[name] for name in FACTORS}, position, repeat)
-
-
-def setting(config: StudyConfig, runs: Runs) -> tuple[Params, list[int], dict[str, np.ndarray]]:
-    """What :func:`jaxreplay.replay.replay` needs for runs: parameters, seeds and options.
-
-    A run's seed follows from the study's seed, its factors' values, its position and repeat: it
-    is the same in whatever study the run stands, and at whatever place.
-    """
-    values = runs.values
-    params = Params(
-        theta_i=values["theta_i"],
-        theta_tau=values["theta_tau"],
-        sigma=values["sigma"][:, None] * np.array(SENSOR_RANGES),
-    )
-    seeds = []
-    for k in range(len(runs)):
-        what = {name: value[k].item() for name, value in values.items()}
-        key = json.dumps([config.seed, what, int(runs.position[k]), int(runs.repeat[k])])
-        seeds.append(int.from_bytes(hashlib.sha256(key.encode()).digest()[:8]))
-    options = {name: values[name] for name in SETTINGS}
-    options["cube"] = facing(TESTED[runs.position])
-    return params, seeds, options
 
 
 def outcomes(replays: Replays) -> np.ndarray:
@@ -140,17 +90,10 @@ def outcomes(replays: Replays) -> np.ndarray:
     return np.select(ways, ["Fb", completed, "Fs"], "")
 
 
-def shards_of(runs: Runs) -> list[np.ndarray]:
-    """The runs, as indices, cut into shards that share a reading of a jump."""
-    jumps = runs.values["jump"]
-    alike = [np.flatnonzero(jumps == jump) for jump in dict.fromkeys(jumps)]
-    return [part[i : i + SHARD] for part in alike for i in range(0, len(part), SHARD)]
-
-
 def run_study(
     config: StudyConfig,
     folder: str | Path,
-    progress: Callable[[np.ndarray], None] = lambda outcome: None,
+    progress: Callable[[np.ndarray, np.ndarray], None] = lambda outcome, duration: None,
     workers: "Callable[[], AbstractContextManager[RunEach]] | None" = None,
 ) -> xr.Dataset:
     """Run what a folder does not hold yet of a study, shard by shard.
@@ -159,7 +102,8 @@ def run_study(
         config: the study.
         folder: made if absent; what else lies in it is left alone.
         progress: called after each control step, or each shard that a worker did, with the
-            outcome of every run of the study, empty for those to come.
+            outcome of every run of the study, empty for those to come, and the seconds that it
+            lasted so far.
         workers: what opens processes to run shards in (see :mod:`jaxreplay.workers`); None runs
             them here. A shard comes to the same bytes wherever it is run, on processors of one
             kind.
@@ -175,37 +119,69 @@ def run_study(
     """
     folder = Path(folder)
     records = demonstrations(config, folder)
-    manifest = manifest_of(config, records, SHARD)
+    manifest = manifest_of(config, records, shard_size(config))
     runs = runs_of(config)
-    outcome = np.full(len(runs), "", "<U2")
+    outcome, duration = np.full(len(runs), "", "<U2"), np.zeros(len(runs))
     with claimed(folder, manifest):
         todo = {}
-        for k, which in enumerate(shards_of(runs)):
+        for k, which in enumerate(shards_of(runs, manifest["shard"])):
             held = read_shard(folder, k, manifest, _ABOUT)
             if held is None:
                 todo[k] = which
             else:
                 outcome[which] = held.outcome.values.astype("<U2")
+                duration[which] = held.duration.values
+        progress(outcome, duration)
         if workers is None:
             for k, which in todo.items():
 
                 def tell(so_far: Replays, which=which):
                     outcome[which] = outcomes(so_far)
-                    progress(outcome)
+                    duration[which] = so_far.steps * PlaneParams().control_period
+                    progress(outcome, duration)
 
-                write_shard(folder, k, manifest, _run(config, records, runs.of(which), tell))
+                write_shard(folder, k, manifest, _run(config, records, runs, which, tell))
         elif todo:
-            calls = {k: (config, records, runs.of(which), manifest) for k, which in todo.items()}
+            calls = {k: (config, records, runs, which, manifest) for k, which in todo.items()}
             with workers() as run_each:
                 for k, shard in run_each(_run_elsewhere, calls):
                     write_shard(folder, k, manifest, shard)
                     outcome[todo[k]] = shard.outcome.values
-                    progress(outcome)
+                    duration[todo[k]] = shard.duration.values
+                    progress(outcome, duration)
     return open_study(folder)
 
 
+def replays_of(
+    config: StudyConfig,
+    records: Records,
+    runs: Runs,
+    keep: Sequence[int] = (),
+    progress: Callable[[Replays], None] = lambda so_far: None,
+) -> Replays:
+    """Do some runs of a study, which share a reading of a jump and the records they replay.
+
+    Args:
+        config: the study.
+        records: all its demonstrations.
+        runs: n of its runs.
+        keep: indices of those whose observations are wanted.
+        progress: called after every control step.
+    """
+    params, seeds, options = setting(config, runs)
+    env = worlds_for(runs, config.slots)
+    jump = str(runs.values["jump"][0])
+    theirs = records_of(config, records, runs)
+    return replay(theirs, params, env, jump, seeds, options, keep, progress)
+
+
+def shard_size(config: StudyConfig) -> int:
+    """Runs of a study that are kept together: enough to fill its slots."""
+    return max(SHARD, config.slots)
+
+
 def _run_elsewhere(
-    config: StudyConfig, records: Records, runs: Runs, manifest: dict[str, Any]
+    config: StudyConfig, records: Records, runs: Runs, which: np.ndarray, manifest: dict[str, Any]
 ) -> xr.Dataset:
     """In a worker, which may have been set up otherwise."""
     for what, here in (
@@ -217,33 +193,40 @@ def _run_elsewhere(
                 f"a worker on {platform.node()} has {what} {here}; this study needs "
                 f"{manifest[what]}"
             )
-    return _run(config, records, runs)
+    return _run(config, records, runs, which)
 
 
 def _run(
     config: StudyConfig,
     records: Records,
     runs: Runs,
+    which: np.ndarray,
     progress: Callable[[Replays], None] = lambda so_far: None,
 ) -> xr.Dataset:
-    params, seeds, options = setting(config, runs)
-    env = PlaneVectorEnv(min(SLOTS, len(runs)))
-    jump = str(runs.values["jump"][0])
-    replays = replay(records, params, env, jump, seeds, options, [0], progress)
+    """Some runs of a study, which share a reading of a jump and the records."""
+    ours = runs.of(which)
+    audited = np.flatnonzero(which % AUDITED == 0)
+    replays = replays_of(config, records, ours, audited, progress)
     outcome = outcomes(replays)
     results = {
         "outcome": outcome,
         "stall": replays.info["stall"],
         "alignment_error": np.where(outcome == "S", 1e3 * replays.info["alignment_error"], np.nan),
-        "duration": replays.steps * env.params.control_period,
+        "duration": replays.steps * PlaneParams().control_period,
         "log_evidence": replays.log_evidence,
         "widened": replays.widened,
-        "total_variation": np.full(len(runs), np.nan),
-        "command_error": np.full(len(runs), np.nan),
+        "dropped": replays.dropped,
+        "total_variation": np.full(len(ours), np.nan),
+        "command_error": np.full(len(ours), np.nan),
     }
-    first = jax.tree.map(lambda x: x[0], params)
-    found = audit(records, first, jump, np.array(replays.observations[0]))
-    results["total_variation"][0], results["command_error"][0] = found
+    for k in audited:
+        found = audit(
+            records_of(config, records, ours),
+            jax.tree.map(lambda x, k=k: x[k], setting(config, ours)[0]),
+            str(ours.values["jump"][0]),
+            np.array(replays.observations[k]),
+        )
+        results["total_variation"][k], results["command_error"][k] = found
     return xr.Dataset({name: ("run", values) for name, values in results.items()})
 
 
@@ -254,6 +237,7 @@ _ABOUT = {
     "duration": {"units": "s", "long_name": "run duration"},
     "log_evidence": {"units": "1", "long_name": "log p(Z_1:t) of the run"},
     "widened": {"units": "1", "long_name": "steps done again in a wider window"},
+    "dropped": {"units": "bit", "long_name": "log2 p of the likeliest state that windows dropped"},
     "total_variation": {"units": "1", "long_name": "largest error of the belief, by windows"},
     "command_error": {"units": "1", "long_name": "… of a command, as a share of its range"},
 }
@@ -273,6 +257,9 @@ def config_of(dataset: xr.Dataset) -> StudyConfig:
 def _config(manifest: dict) -> StudyConfig:
     held = dict(manifest["config"])
     held["axes"] = {name: tuple(values) for name, values in held["axes"].items()}
+    unsaid = {name: None for name in FACTORS if name not in held["axes"]}
+    held["fixed"] = unsaid | held["fixed"]
+    held |= {name: tuple(map(tuple, held[name])) for name in ("zip", "positions")}
     path = held["demonstrations"]
     return StudyConfig(**held | {"demonstrations": Path(path) if path else None})
 
@@ -283,9 +270,11 @@ def open_study(folder: str | Path) -> xr.Dataset:
     Returns:
         Variables `outcome` (S, Fs, Fg or Fb), `stall` (fixed, cyclic or slow for an Fs),
         `alignment_error` (mm, NaN unless S), `duration` (s), `log_evidence`,
-        `widened` (steps done again in a wider window), and, of the first run of each shard,
-        `total_variation` and `command_error` (see :mod:`jaxreplay.audit`), over the axes of the
-        study, `position` and `repeat`. Runs that are missing have an empty outcome and NaN.
+        `widened` (steps done again in a wider window), `dropped` (log2 of the likeliest state
+        that windows let go), and, of one run in 56, `total_variation` and `command_error` (see
+        :mod:`jaxreplay.audit`), over the axes of the study, `position` and `repeat`. Axes that
+        move together share the dimension of the first. Runs that are missing have an empty
+        outcome and NaN.
 
     Raises:
         FileNotFoundError: there is no study in the folder.
@@ -299,20 +288,26 @@ def open_study(folder: str | Path) -> xr.Dataset:
         name: np.full(len(runs), "" if name in _TEXT else np.nan, _TEXT.get(name, float))
         for name in _ABOUT
     }
-    for k, which in enumerate(shards_of(runs)):
+    for k, which in enumerate(shards_of(runs, manifest["shard"])):
         held = read_shard(folder, k, manifest, _ABOUT)
         for name in _ABOUT if held is not None else ():
             results[name][which] = held[name].values.astype(results[name].dtype)
-    dims = (*config.axes, "position", "repeat")
-    shape = (*map(len, config.axes.values()), len(TESTED), config.repeats)
+    dims = (*config.dims, "position", "repeat")
+    cubes = np.array(config.positions)
+    coords = {
+        name: (dim, list(config.axes[name]), _about(name))
+        for dim, group in config.dims.items()
+        for name in group
+    }
+    shape = (*(len(config.axes[dim]) for dim in config.dims), len(cubes), config.repeats)
     return xr.Dataset(
         {name: (dims, results[name].reshape(shape), about) for name, about in _ABOUT.items()},
-        coords={name: (name, list(values), _about(name)) for name, values in config.axes.items()}
+        coords=coords
         | {
-            "position": np.arange(len(TESTED)),
+            "position": np.arange(len(cubes)),
             "repeat": np.arange(config.repeats),
-            "cube_x": ("position", TESTED[:, 0], {"units": "m", "long_name": "cube, ahead"}),
-            "cube_y": ("position", TESTED[:, 1], {"units": "m", "long_name": "cube, to the left"}),
+            "cube_x": ("position", cubes[:, 0], {"units": "m", "long_name": "cube, ahead"}),
+            "cube_y": ("position", cubes[:, 1], {"units": "m", "long_name": "cube, to the left"}),
         },
         attrs={"manifest": json.dumps(manifest)},
     )

@@ -122,6 +122,7 @@ class Tracker:
         command: `[B, n_u]` to be sent next.
         window: `[B]` which of the windows each replay is in.
         widened: `[B]` how often a step was done again, since the replay began.
+        dropped: `[B]` log2 of the likeliest hypothesis dropped since then; −inf for none.
         droppable: `[B]` bits; follows from σ.
     """
 
@@ -146,6 +147,7 @@ class Tracker:
         n = len(params.theta_i)
         self.command = np.zeros((n, records.n_commands))
         self.window, self.widened, self._taken = np.zeros((3, n), int)
+        self.dropped = np.full(n, -np.inf)
         self._beliefs = [None] * len(self.windows)  # a replay's is where its window says
         self.restart(np.ones(n, bool), params)
 
@@ -163,6 +165,7 @@ class Tracker:
         command = self._do(0, "begin", which, params)
         self.command[which] = np.asarray(command)[which]
         self.window[which] = self.widened[which] = self._taken[which] = 0
+        self.dropped[which] = -np.inf
 
     def advance(self, z: np.ndarray, going: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Take in observations, and predict.
@@ -189,6 +192,7 @@ class Tracker:
                 self.window[lossy] += 1  # its turn is next
                 self.widened[lossy] += 1
                 now &= ~lossy
+            self._lost(now, taken.dropped)
             self.command[now] = taken.command[now]
             gained[now], ended[now] = taken.log_evidence[now], taken.end_probability[now]
         self._taken[going] += 1
@@ -219,8 +223,14 @@ class Tracker:
         for k in range(1, len(self.windows)):
             now = which & (self.window == k)
             if now.any():
-                dropped = self._do(k - 1, "move", now, self._beliefs[k])
-                self.window[now & (np.asarray(dropped) <= self.droppable - 4)] -= 1
+                dropped = np.asarray(self._do(k - 1, "move", now, self._beliefs[k]))
+                now &= dropped <= self.droppable - 4
+                self.window[now] -= 1
+                self._lost(now, dropped)
+
+    def _lost(self, which: np.ndarray, bits: np.ndarray):
+        bits = np.where(bits > NOTHING, bits, -np.inf)
+        self.dropped[which] = np.maximum(self.dropped, bits)[which]
 
     def _do(self, k: int, what: str, which: np.ndarray, *args):
         """Take one of the steps in windows k, for the replays told; the results."""

@@ -8,22 +8,23 @@ import jax
 import jax.numpy as jnp
 import matplotlib.pyplot as plt
 import numpy as np
-from gymnasium.vector import VectorWrapper
+from gymnasium.vector import VectorEnv, VectorWrapper
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.gridspec import GridSpec
 from PIL import Image
 
-from jaxreplay.config import FACTORS, StudyConfig
+from jaxreplay.config import StudyConfig
+from jaxreplay.factors import FACTORS
 from jaxreplay.filter import build_filter
 from jaxreplay.params import Params
 from jaxreplay.plane.drawing import Scene
-from jaxreplay.plane.env import PlaneVectorEnv
 from jaxreplay.plane.params import PlaneParams
 from jaxreplay.plane.sensors import Pose
 from jaxreplay.records import Records
 from jaxreplay.replay import Replays, replay
-from jaxreplay.study import Runs, outcomes, runs_of, setting
+from jaxreplay.runs import Runs, records_of, runs_of, setting, worlds_for
+from jaxreplay.study import outcomes
 from jaxreplay.table import short
 
 FRAMES = 10  # per second of the animation
@@ -38,7 +39,7 @@ class Watched(NamedTuple):
         replays: what came of it, n = 1.
         poses: T of them, after each step.
         held: `[T]` whether the cube was held.
-        observations: `[T, 7]`.
+        observations: `[T, n_s]`.
         commands: `[T, 5]`.
     """
 
@@ -50,23 +51,29 @@ class Watched(NamedTuple):
 
 
 class _Recorder(VectorWrapper):
-    def __init__(self, env: PlaneVectorEnv):
+    def __init__(self, env: VectorEnv):
         super().__init__(env)
         self.rows: list[tuple] = []
 
     def step(self, actions):
         """Carry it out, and keep what was sent, seen and done."""
         result = self.env.step(actions)
-        pose = Pose(*(x.copy() for x in self.env.pose))
-        self.rows.append((pose, bool(self.env.held[0]), result[0][0].copy(), actions[0].copy()))
+        plane = self.env.unwrapped
+        pose = Pose(*(x.copy() for x in plane.pose))
+        self.rows.append((pose, bool(plane.held[0]), result[0][0].copy(), actions[0].copy()))
         return result
 
 
 def watched(
-    records: Records, params: Params, jump: str, seed: int, options: dict[str, np.ndarray]
+    records: Records,
+    params: Params,
+    worlds: VectorEnv,
+    jump: str,
+    seed: int,
+    options: dict[str, np.ndarray],
 ) -> Watched:
     """Run one replay and keep all of it; arguments as :func:`jaxreplay.replay.replay`, n = 1."""
-    env = _Recorder(PlaneVectorEnv(1))
+    env = _Recorder(worlds)
     replays = replay(records, params, env, jump, [seed], options)
     poses, held, observations, commands = zip(*env.rows, strict=True)
     return Watched(replays, list(poses), *map(np.array, (held, observations, commands)))
@@ -99,8 +106,9 @@ def animate_run(
     """
     one = runs_of(config).of(np.array([k]))
     params, (seed,), options = setting(config, one)
+    records = records_of(config, records, one)
     jump = str(one.values["jump"][0])
-    run = watched(records, params, jump, seed, options)
+    run = watched(records, params, worlds_for(one, 1), jump, seed, options)
     belief = beliefs(records, jax.tree.map(lambda x: x[0], params), jump, run.observations)
     title = _title(one, run.replays)
     animate(run, belief, records, title, path, speed, progress)
@@ -108,7 +116,11 @@ def animate_run(
 
 
 def _title(one: Runs, replays: Replays) -> str:
-    values = [f"{FACTORS[name].symbol} {short(value[0])}" for name, value in one.values.items()]
+    values = [
+        f"{FACTORS[name].symbol} {short(value[0])}"
+        for name, value in one.values.items()
+        if value[0] is not None
+    ]
     where = f"position {one.position[0]}, repeat {one.repeat[0]}"
     outcome, stall = outcomes(replays)[0], replays.info["stall"][0]
     ended = f"{outcome}{f' ({stall})' if stall else ''}"

@@ -18,6 +18,7 @@ pytestmark = pytest.mark.usefixtures("fewer_windows")
 TEXT = """
 seed = 4
 repeats = 1
+slots = 2
 theta_i = 0.01
 [axis]
 jump = ["own_tau"]
@@ -60,7 +61,7 @@ def shards(folder):
 def counted(monkeypatch):
     """How many runs each shard that is computed has."""
     computed, run = [], study._run
-    monkeypatch.setattr(study, "_run", lambda *args: (computed.append(len(args[2])), run(*args))[1])
+    monkeypatch.setattr(study, "_run", lambda *args: (computed.append(len(args[3])), run(*args))[1])
     return computed
 
 
@@ -96,7 +97,8 @@ def test_a_shard_that_is_torn_or_foreign_is_set_aside_and_run_again(
     }[damage]
     path.write_bytes(spoilt)
     assert (open_study(again).outcome == "").sum() == 2
-    study.run_study(load_config(config), again)
+    with pytest.warns(UserWarning, match=r"00001\.nc is torn or not of this study; kept as"):
+        study.run_study(load_config(config), again)
     assert computed == [2]
     assert shards(again) == shards(folder)
     assert (again / "shards" / "00001.nc.bad").read_bytes() == spoilt
@@ -108,7 +110,8 @@ def test_a_torn_manifest_is_set_aside(finished, tmp_path, monkeypatch):
     (again / "study.json").write_text((folder / "study.json").read_text()[:-40])
     with pytest.raises(ValueError, match="is not the manifest of a study"):
         open_study(again)
-    study.run_study(load_config(config), again)
+    with pytest.warns(UserWarning, match=r"study\.json is torn"):
+        study.run_study(load_config(config), again)
     assert computed == []
     assert read_manifest(again) == read_manifest(folder)
 
@@ -141,10 +144,10 @@ def test_an_interrupt_keeps_what_was_finished(finished, tmp_path, monkeypatch, c
     run = study._run
     with monkeypatch.context() as patch:
 
-        def interrupted(config, records, runs, progress):
-            if len(runs) == 1:
+        def interrupted(config, records, runs, which, progress):
+            if len(which) == 1:
                 raise KeyboardInterrupt
-            return run(config, records, runs, progress)
+            return run(config, records, runs, which, progress)
 
         patch.setattr(study, "_run", interrupted)
         assert cli.main(["run", str(config), "--out", str(again)]) == 130

@@ -1,15 +1,23 @@
+import re
+
 import numpy as np
 import pytest
 import xarray as xr
 
 import jaxreplay as jr
-from jaxreplay import cli
-from jaxreplay.config import FACTORS, ConfigError, StudyConfig, load_config
+from jaxreplay import cli, factors
+from jaxreplay import config as config_module
+from jaxreplay import runs as runs_module
+from jaxreplay import study as study_module
+from jaxreplay.config import ConfigError, StudyConfig, load_config
+from jaxreplay.factors import FACTORS
 from jaxreplay.figures import figure_3
 from jaxreplay.plane.demonstrator import TESTED, facing
 from jaxreplay.plane.params import COMMAND_NAMES, SENSOR_NAMES, SENSOR_RANGES
 from jaxreplay.records import Records
-from jaxreplay.study import config_of, run_study, runs_of, setting
+from jaxreplay.runs import records_of, runs_of, setting, shards_of
+from jaxreplay.store import manifest_of, read_manifest
+from jaxreplay.study import config_of, run_study
 from jaxreplay.table import table
 
 pytestmark = pytest.mark.usefixtures("fewer_windows")
@@ -145,8 +153,8 @@ def test_a_row_of_the_table_is_a_cell_of_the_study():
     assert "in 1; at most by 2.0e-02" in audit
     assert "motor unit" in header
     assert [" ".join(row.split()) for row in rows[:3]] == [
-        "0.0025 on 2 1 0 0 0 1 0 2.00 ± 1.00 65.00 ± 5.00",
-        "0.0025 off 0 2 0 1 1 0 1 – –",
+        "0.0025 on 2 1 0 0 67 (21–94) 0 1 0 2.00 ± 1.00 65.00 ± 5.00",
+        "0.0025 off 0 2 0 1 0 (0–56) 1 0 1 – –",
         "",
     ]
 
@@ -155,6 +163,18 @@ def test_the_same_seed_gives_the_same_study(study, tmp_path):
     config, folder = study
     assert cli.main(["run", str(config), "--out", str(tmp_path)]) == 0
     xr.testing.assert_identical(jr.open_study(folder), jr.open_study(tmp_path))
+
+
+def test_a_study_made_before_a_factor_was_known_stays_what_it_was(study, monkeypatch):
+    config, folder = study
+    before = jr.open_study(folder)
+    held = manifest_of(load_config(config), records := Records.load(*folder.glob("*.npz")), 56)
+    assert held["hash"] == read_manifest(folder)["hash"]
+    new = FACTORS | {"mood": FACTORS["light"]}
+    for module in (factors, study_module, runs_module, config_module):
+        monkeypatch.setattr(module, "FACTORS", new)
+    xr.testing.assert_identical(jr.open_study(folder), before)
+    assert manifest_of(load_config(config), records, 56)["hash"] == held["hash"]
 
 
 def test_opening_what_is_no_study(tmp_path):
@@ -168,9 +188,8 @@ def test_opening_what_is_no_study(tmp_path):
 def test_the_shipped_experiment_is_the_papers(request):
     config = load_config(request.config.rootpath / "experiments" / "theta_i.toml")
     assert list(config.axes) == ["jump", "theta_i"]
-    np.testing.assert_allclose(
-        np.log10(config.axes["theta_i"]), [-0.5, -1, -1.5, -2, -2.5, -3, -3.5]
-    )
+    exponents = [-0.5, -1, -1.5, -2, -2.5, -3, -3.5, -6, -12, -25]
+    np.testing.assert_allclose(np.log10(config.axes["theta_i"]), exponents)
     assert config.axes["jump"] == ("same_tau", "own_tau")
     assert (config.fixed["theta_tau"], config.fixed["sigma"], config.repeats) == (0.05, 0.1, 3)
     assert not config.fixed["dithering"]
@@ -202,13 +221,14 @@ def test_a_factor_is_one_value_or_an_axis_in_the_files_order(tmp_path):
         ("dithering", (True, False)),
         ("theta_i", (0.1, 0.01, 0.001)),
     ]
-    assert config.fixed == {
+    said = {name: value for name, value in config.fixed.items() if value is not None}
+    assert said == {
         "theta_tau": 0.05, "sigma": 0.2, "jump": "same_tau", "motor_unit": 0.005, "battery": 1.0,
     }  # fmt: skip
     runs = runs_of(config)
     assert len(runs) == 5 * 2 * 3 * 5 * 3  # … × positions × repeats
     assert set(runs.values) == set(FACTORS)
-    first = {name: values[0].item() for name, values in runs.values.items()}
+    first = {name: values[0] for name, values in runs.values.items()}
     assert first == config.fixed | {"sensor_noise": 0.0, "dithering": True, "theta_i": 0.1}
     np.testing.assert_array_equal(runs.repeat[:4], [0, 1, 2, 0])
     np.testing.assert_array_equal(runs.position[:16:3], [0, 1, 2, 3, 4, 0])
@@ -242,6 +262,110 @@ def test_what_a_run_is_told_follows_from_its_own_values():
     assert not set(told(one)) & set(told(config(seed=8)))
     each = setting(two, runs_of(two).of(np.array([13, 2])))[1]
     np.testing.assert_array_equal(np.array(each, np.uint64), told(two)[[13, 2]])
+
+
+VARIED = """
+theta_i = 0.01
+repeats = 2
+sigma_proximeters = 0.2
+positions = {x = [0.3, 0.35], y = {linspace = [-0.1, 0.1, 3]}}
+zip = [["motor_unit", "sigma_camera"]]
+[axis]
+sigma_camera = [0.1, 0.3]
+jump = ["own_tau", "same_tau"]
+motor_unit = [0.005, 0.01]
+records = [[0, 4, 19], 6]
+sigma_proximeter_2 = [0.5]
+"""
+
+
+def test_axes_that_are_zipped_move_together(tmp_path):
+    config = load_config(write(tmp_path, VARIED))
+    assert config.dims == {
+        "motor_unit": ("motor_unit", "sigma_camera"),
+        "jump": ("jump",),
+        "records": ("records",),
+        "sigma_proximeter_2": ("sigma_proximeter_2",),
+    }
+    runs = runs_of(config)
+    assert len(runs) == 2 * 2 * 2 * 6 * 2
+    pairs = set(zip(runs.values["motor_unit"], runs.values["sigma_camera"], strict=True))
+    assert pairs == {(0.005, 0.1), (0.01, 0.3)}
+    still = ["axis.sigma_camera=[0.1, 0.1]"]
+    assert load_config(write(tmp_path, VARIED), still).axes["sigma_camera"] == (0.1, 0.1)
+    with pytest.raises(ConfigError, match=r"axis\.motor_unit, axis\.sigma_camera holds a value tw"):
+        load_config(write(tmp_path, VARIED), [*still, "axis.motor_unit=[0.01, 0.01]"])
+
+
+def test_cubes_stand_where_the_file_says(tmp_path):
+    config = load_config(write(tmp_path, VARIED))
+    assert config.positions == tuple((x, y) for x in (0.3, 0.35) for y in (-0.1, 0, 0.1))
+    runs = runs_of(config)
+    cubes = setting(config, runs)[2]["cube"]
+    np.testing.assert_array_equal(cubes[:, :2], np.array(config.positions)[runs.position])
+    listed = load_config(write(tmp_path, "theta_i = 0.1\npositions = [[0.3, 0], [0.4, 0.2]]"))
+    assert listed.positions == ((0.3, 0.0), (0.4, 0.2))
+
+
+def test_the_sigma_of_a_sensor_is_the_closest_one_said(tmp_path):
+    config = load_config(write(tmp_path, VARIED))
+    runs = runs_of(config)
+    sigma = np.asarray(setting(config, runs)[0].sigma)
+    wide = runs.values["sigma_camera"] == 0.3
+    expected = np.tile([2 * 0.1, 0.2, 0.2, 0.5, 0.2, 0.2, 0.2], (len(runs), 1))
+    expected[wide, 0] = 2 * 0.3
+    np.testing.assert_allclose(sigma, expected, rtol=1e-6)
+
+
+def test_runs_of_a_shard_share_the_jump_and_the_records(tmp_path):
+    config = load_config(write(tmp_path, VARIED))
+    runs, n = runs_of(config), 20
+    shards = shards_of(runs, 8)
+    np.testing.assert_array_equal(np.sort(np.concatenate(shards)), np.arange(len(runs)))
+    sensors = [np.full((5, 7), float(i)) for i in range(n)]
+    records = Records.from_sequences(sensors, [np.zeros((5, 5))] * n, SENSOR_NAMES, COMMAND_NAMES)
+    drawn = {}
+    for shard in shards:
+        assert 0 < len(shard) <= 8
+        some = runs.of(shard)
+        assert len(set(some.values["jump"])) == 1
+        (told,) = set(some.values["records"])
+        chosen = records_of(config, records, some)
+        first = [int(s[0, 0]) for s in chosen.sequences()[0]]
+        if told == "0 4 19":
+            assert first == [0, 4, 19]
+        else:
+            (repeat,) = set(some.repeat)
+            assert len(set(first)) == 6
+            assert drawn.setdefault(repeat, first) == first
+    assert drawn[0] != drawn[1]
+
+
+def test_what_set_says_takes_the_place_of_what_the_file_says(tmp_path):
+    file = write(tmp_path, "theta_i = 0.1\n[axis]\nsigma = {linspace = [0.1, 0.2, 3]}")
+    changes = """axis.theta_i.logspace=[-1, -2, 2]; sigma=0.3; jump=own_tau; slots = 7
+        positions.x=[0.3]; positions.y.linspace=[0, 0.1, 2]""".replace("\n", ";").split(";")
+    config = load_config(file, changes)
+    assert config.axes == {"theta_i": (0.1, 0.01)}
+    assert (config.fixed["sigma"], config.fixed["jump"]) == (0.3, "own_tau")
+    assert config.positions == ((0.3, 0.0), (0.3, 0.1))
+    assert config.slots == 7
+    spaced = load_config(file, ["axis.sigma.logspace=[-1, 0, 2]"])
+    assert spaced.axes == {"sigma": (0.1, 1.0)}
+
+
+def test_a_dry_run_measures_what_a_study_takes_and_leaves_nothing(tmp_path, capsys):
+    config, out = write(tmp_path, SMALL + "motor_unit = [0.005, 0.01]\n"), tmp_path / "out"
+    assert cli.main(["run", str(config), "--out", str(out), "--dry-run", "--slots", "3"]) == 0
+    said = capsys.readouterr().err
+    assert "10 runs in 1 shard\n" in said
+    minutes, cores, seconds, memory = re.search(
+        r"about (\d+) min on (\d+) cores? \(([\d.]+) s a run on one\), ([\d.]+) GiB", said
+    ).groups()
+    assert 0.01 < float(seconds) < 60
+    assert int(minutes) == round(10 * float(seconds) / int(cores) / 60)
+    assert 0.1 < float(memory) < 5
+    assert not out.exists()
 
 
 @pytest.mark.parametrize(
@@ -297,6 +421,23 @@ def test_what_a_run_is_told_follows_from_its_own_values():
         ("theta_i = 0.1\nseed = true", "seed must be a whole number"),
         ("theta_i = 0.1\ndemonstrations = 3", "demonstrations must be a file's path"),
         ("theta_i = 0.1\ndemonstrations = 'no.npz'", "there is no file"),
+        ("theta_i = 0.1\nsigma_camra = 1", "unknown key sigma_camra; did you mean sigma_camera"),
+        ("theta_i = 0.1\nrecords = 0", "records must be a whole number from 1 to"),
+        ("theta_i = 0.1\nrecords = 'six'", "records must be how many records to draw, such as 6"),
+        ("theta_i = 0.1\nrecords = [1, -1]", r"records\[1\] must be a whole number from 0 to"),
+        ("theta_i = 0.1\nrecords = [1, 1]", "records holds a record twice"),
+        ("theta_i = 0.1\nslots = 0", "slots must be a whole number from 1 to 4096"),
+        ("theta_i = 0.1\npositions = []", r"positions must be a list of \[x, y\] in m"),
+        ("theta_i = 0.1\npositions = [[0.3]]", r"positions\[0\] must be \[x, y\] in m"),
+        ("theta_i = 0.1\npositions = [[0.1, 0]]", r"positions\[0\]\[0\] must be in \[0\.2, 0\.7\]"),
+        ("theta_i = 0.1\npositions = {x = [0.3]}", "positions needs x and y"),
+        ("theta_i = 0.1\npositions = {x = [0.3], z = [0]}", r"unknown key positions\.z"),
+        ("zip = 3\ntheta_i = 0.1", "zip must list groups of axes"),
+        ("zip = [['sigma', 'battery']]\ntheta_i = 0.1", "zip names 'sigma', which is no axis"),
+        (
+            "zip = [['theta_i', 'battery']]\n[axis]\ntheta_i = [0.1]\nbattery = [1, 0.5]",
+            r"zip: theta_i, battery have \[1, 2\] values; give as many of each",
+        ),
         ("[axis\n", "is not TOML"),
     ],
 )
@@ -310,6 +451,22 @@ def test_a_mistake_is_one_line_and_status_2_before_any_work(tmp_path, capsys, te
     assert said.count("\n") == 1  # before the run is announced
     assert str(config) in said
     assert not out.exists()
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ("theta_i", "--set theta_i: give KEY=VALUE"),
+        ("=3", "--set =3: give KEY=VALUE"),
+        ("theta_j=0.1", "unknown key theta_j; did you mean theta_i"),
+        ("axis.theta_i=0.1", r"axis\.theta_i must be a list"),
+        ("jump=[", "jump must be one of 'same_tau', 'own_tau'; got '\\['"),
+    ],
+)
+def test_a_mistake_in_set_is_told_too(tmp_path, capsys, change, message):
+    config = write(tmp_path, SMALL)
+    assert cli.main(["run", str(config), "--set", change, "--out", str(tmp_path / "out")]) == 2
+    assert re.search(message, capsys.readouterr().err)
 
 
 def test_mistakes_outside_the_file_too(tmp_path, capsys):
@@ -331,6 +488,10 @@ def test_mistakes_outside_the_file_too(tmp_path, capsys):
     assert cli.main(["run", str(config), "--out", str(tmp_path / "out")]) == 2
     assert "0.5 s apart; the plane's control period is 0.1 s" in capsys.readouterr().err
 
+    config = write(tmp_path, "records = [3, 20]\n" + SMALL)
+    assert cli.main(["run", str(config), "--out", str(tmp_path / "out")]) == 2
+    assert "records: there is no 20; they are 0 to 19 (of" in capsys.readouterr().err
+
     (tmp_path / "file").write_text("")
     config = write(tmp_path, SMALL)
     assert cli.main(["run", str(config), "--out", str(tmp_path / "file")]) == 2
@@ -345,3 +506,19 @@ def test_the_command_line_describes_itself(capsys):
     with pytest.raises(SystemExit) as stop:
         cli.main(["walk"])
     assert stop.value.code == 2
+
+
+def test_progress_is_told_in_lines_where_there_is_no_terminal(capsys):
+    """Every tenth of the runs: what came of them, how fast it goes, and how long it will."""
+    tell, outcome, duration = cli._Progress(20), np.full(20, "", "<U2"), np.zeros(20)
+    outcome[:6], duration[:6] = "S", 100  # from an earlier sitting
+    tell(outcome, duration)
+    assert capsys.readouterr().err == ""
+    outcome[6:9], duration[6:10] = ["S", "Fs", "Fb"], 50
+    tell(outcome, duration)
+    (line,) = capsys.readouterr().err.splitlines()
+    assert re.fullmatch(
+        r"9 of 20 runs: S 7, Fs 1, Fg 0, Fb 1; \d+ simulated s a second, \d+ s left", line
+    )
+    tell(outcome, duration)
+    assert capsys.readouterr().err == ""

@@ -7,6 +7,7 @@ from PIL import Image
 
 from jaxreplay import Params, Records, cli, reference
 from jaxreplay.plane.demonstrator import DEMONSTRATED, facing, record
+from jaxreplay.plane.env import PlaneVectorEnv
 from jaxreplay.plane.params import SENSOR_RANGES, PlaneParams
 from jaxreplay.watch import animate, beliefs, frames, watched
 
@@ -20,7 +21,7 @@ def run():
     records = Records.from_sequences([s[:90] for s in sensors], [c[:90] for c in commands])
     params = Params([0.1], [0.05], SIGMA[None])
     options = {"cube": facing(np.array([[0.3, -0.08]]))}
-    return records, params, watched(records, params, "own_tau", 5, options)
+    return records, params, watched(records, params, PlaneVectorEnv(1), "own_tau", 5, options)
 
 
 def test_it_is_all_that_happened(run):

@@ -13,6 +13,7 @@ from jaxreplay.workers import local_workers
 TEXT = """
 seed = 4
 repeats = 1
+slots = 2
 theta_i = 0.01
 jump = "own_tau"
 [axis]
@@ -33,7 +34,7 @@ def test_workers_come_to_the_same_bytes_though_one_is_killed(config, tmp_path, m
     monkeypatch.setattr(study, "SHARD", 2)
     alone, killed = study.run_study(load_config(config), tmp_path / "alone"), []
 
-    def kill_a_busy_one(outcome):
+    def kill_a_busy_one(outcome, duration):
         client = Client.current()
         busy = [worker for worker, tasks in client.processing().items() if tasks]
         if busy and not killed:

@@ -1,6 +1,7 @@
 """What a world can be told as it is started, checked."""
 
 import difflib
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,13 @@ SETTINGS = {  # what may be told of a world, and between what
     "battery": (0.05, 1.5),
     "sensor_noise": (0.0, 100.0),
 }
+
+
+def unknown(name: str, known: Sequence[str]) -> str:
+    """The rest of a message about a name that is none of the known, which it tells."""
+    near = difflib.get_close_matches(name, known, n=1)
+    hint = f"; did you mean {near[0]}?" if near else ""
+    return f"{name}{hint} (known: {', '.join(known)})"
 
 
 def seed_of(*key: int) -> int:
@@ -43,9 +51,7 @@ def told(options: dict[str, Any], n: int, params: PlaneParams) -> tuple[np.ndarr
     known = ["cube", *SETTINGS]
     for name in options:
         if name not in known:
-            near = difflib.get_close_matches(name, known, n=1)
-            hint = f"; did you mean {near[0]}?" if near else ""
-            raise ValueError(f"unknown option {name}{hint} (known: {', '.join(known)})")
+            raise ValueError(f"unknown option {unknown(name, known)}")
     cubes = np.asarray(options.get("cube", np.full((n, 3), np.nan)), float)
     if cubes.shape != (n, 3) or ("cube" in options and not np.isfinite(cubes).all()):
         raise ValueError(f"cube must be {n} finite x, y (m) and angle (rad); got {cubes}")

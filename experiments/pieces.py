@@ -1,0 +1,180 @@
+"""How many records is a run pieced together from, and when in the run does it switch?
+
+    python experiments/pieces.py [--repeats 3] [--jump own_tau] [--out results/pieces]
+
+The paper believes that a large θ_I does best "because our training runs essentially differ at the
+beginning": a run can pick the record that fits, and jump on to others later. So the runs of its
+Figure 3 are done again, and at each step the record followed is the likeliest one, p(I_t | Z_1:t).
+A piece is a stretch of at least a second that follows one record. The table tells, for each θ_I,
+how many pieces a run has and how many records they come from, and how the switches between pieces
+are spread over the run; the figure adds how far demonstrations differ, by how much of them is over.
+Intervals are 95 %, by bootstrap over runs.
+"""
+
+import argparse
+from functools import partial
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import matplotlib.pyplot as plt
+import numpy as np
+
+from jaxreplay.config import load_config
+from jaxreplay.figures import write
+from jaxreplay.filter import build_filter
+from jaxreplay.machine import keep_compiled
+from jaxreplay.params import Params
+from jaxreplay.plane.params import SENSOR_NAMES, SENSOR_RANGES, PlaneParams
+from jaxreplay.records import Records
+from jaxreplay.runs import records_of, runs_of, setting, shards_of
+from jaxreplay.study import demonstrations, outcomes, replays_of
+
+STUDY = Path(__file__).with_name("theta_i.toml")
+PIECE = 1.0  # s
+THIRDS = 3
+
+
+def main():
+    """Run, tell and draw."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--repeats", type=int, default=3, help="of each position and value of θ_I")
+    parser.add_argument("--jump", choices=("same_tau", "own_tau"), default="own_tau")
+    parser.add_argument("--out", type=Path, default=Path("results/pieces"))
+    options = parser.parse_args()
+    keep_compiled()
+    options.out.mkdir(parents=True, exist_ok=True)
+    config = load_config(STUDY, [f"jump={options.jump}", f"repeats={options.repeats}"])
+    records, runs = demonstrations(config, options.out), runs_of(config)
+    won, pieces = np.zeros(len(runs), bool), [np.zeros((0, 3))] * len(runs)
+    for which in shards_of(runs, 56):
+        ours = runs.of(which)
+        replays = replays_of(config, records, ours, range(len(ours)))
+        params, *_ = setting(config, ours)
+        won[which] = outcomes(replays) == "S"
+        for k, run in enumerate(which):
+            its = jax.tree.map(lambda x, k=k: x[k], params)
+            seen = np.array(replays.observations[k])
+            theirs = records_of(config, records, ours)
+            pieces[run] = pieces_of(followed(theirs, its, options.jump, seen))
+        print(f"{which[-1] + 1} of {len(runs)} runs", flush=True)
+    theta_i = runs.values["theta_i"]
+    print(table(theta_i, won, pieces))
+    for suffix in ("png", "pdf"):
+        figure(theta_i, won, pieces, records, options.out / f"pieces.{suffix}")
+    print(f"{options.out}: pieces.png and pieces.pdf")
+
+
+def followed(records: Records, params: Params, jump: str, seen: np.ndarray) -> np.ndarray:
+    """`[T]` the likeliest record after each observation."""
+    longest = PlaneParams().max_steps  # one shape, so that one program serves all runs
+    filled = np.full((longest, seen.shape[1]), np.nan)
+    filled[: len(seen)] = records.centre(seen)
+    return np.asarray(_followed(records, params, jnp.asarray(filled), jump))[: len(seen)]
+
+
+@partial(jax.jit, static_argnames="jump")
+def _followed(records, params, z, jump):
+    filter = build_filter(jump)
+
+    def step(belief, z):
+        belief, _ = filter.update(records, params, filter.predict(records, params, belief), z)
+        return belief, jnp.argmax(filter.posterior(records, belief).sum(axis=1))
+
+    return jax.lax.scan(step, filter.init(records), z)[1]
+
+
+def pieces_of(record: np.ndarray) -> np.ndarray:
+    """The pieces of a run, `[n, 3]`: record, and where in the run it begins and ends, as shares."""
+    starts = np.flatnonzero(np.diff(record, prepend=-1))
+    ends = np.append(starts[1:], len(record))
+    long = ends - starts >= round(PIECE / PlaneParams().control_period)
+    rows = np.column_stack([record[starts], starts / len(record), ends / len(record)])[long]
+    again = np.flatnonzero(np.diff(rows[:, 0], prepend=-1))  # with less than a piece between them
+    return rows[again]
+
+
+def switches_of(pieces: np.ndarray) -> np.ndarray:
+    """When in the run it goes from one piece to the next, as shares of it."""
+    return pieces[1:, 1]
+
+
+def interval(values: np.ndarray, of=np.mean) -> tuple[float, float, float]:
+    """A statistic with its 95 % interval by bootstrap."""
+    rng = np.random.default_rng(0)
+    again = [of(values[rng.integers(len(values), size=len(values))]) for _ in range(1000)]
+    return (of(values), *np.quantile(again, [0.025, 0.975]))
+
+
+def table(theta_i: np.ndarray, won: np.ndarray, pieces: list[np.ndarray]) -> str:
+    """A row for each θ_I."""
+    lines = [
+        f"{'θ_I':>9}{'runs':>6}{'S':>6}{'pieces a run':>22}{'records a run':>22}"
+        f"{'switches in the first, second, last third':>44}"
+    ]
+    for value in dict.fromkeys(theta_i):
+        these = np.flatnonzero(theta_i == value)
+        row = f"{value:9.3g}{len(these):6d}{won[these].sum():6d}"
+        for count in (len, lambda p: len(set(p[:, 0]))):
+            row += told(interval(np.array([count(pieces[k]) for k in these])), 22)
+        when = np.concatenate([switches_of(pieces[k]) for k in these])
+        thirds = np.histogram(when, np.linspace(0, 1, THIRDS + 1))[0] / max(len(when), 1)
+        lines.append(row + ", ".join(f"{share:.0%}" for share in thirds).rjust(44))
+    return "\n".join(lines)
+
+
+def told(interval: tuple[float, float, float], width: int) -> str:
+    """A mean and its interval."""
+    mean, low, high = interval
+    return f"{mean:.1f} [{low:.1f}, {high:.1f}]".rjust(width)
+
+
+def figure(theta_i, won, pieces, records: Records, path: Path):
+    """Pieces against θ_I, switches over the run, and how demonstrations differ."""
+    values = list(dict.fromkeys(theta_i))
+    with plt.rc_context({"font.size": 8, "axes.spines.top": False, "axes.spines.right": False}):
+        drawn, (left, middle, right) = plt.subplots(1, 3, figsize=(8, 2.7), layout="constrained")
+        for name, which, style in (("S", won, "o-"), ("not S", ~won, "s--")):
+            means = [
+                interval(np.array([len(pieces[k]) for k in np.flatnonzero((theta_i == v) & which)]))
+                if ((theta_i == v) & which).any()
+                else (np.nan,) * 3
+                for v in values
+            ]
+            mean, low, high = np.array(means).T
+            left.errorbar(
+                range(len(values)), mean, [mean - low, high - mean], fmt=style, capsize=2,
+                color="black" if name == "S" else "0.55", label=name, markersize=4,
+            )  # fmt: skip
+        left.set_xticks(range(len(values)), [write("theta_i", v) for v in values], rotation=90)
+        left.set_xlabel("$\\theta_I$")
+        left.set_ylabel("pieces a run (mean, 95 %)")
+        left.set_ylim(0, None)
+        left.legend(frameon=False)
+        when = [switches_of(p) for p in pieces]
+        middle.hist(100 * np.concatenate(when), np.linspace(0, 100, 21), color="0.4")
+        middle.set_xlabel("when in the run, % of its duration")
+        middle.set_ylabel("switches, all runs")
+        spread = spreads(records)
+        at = np.linspace(0, 100, spread.shape[1])
+        right.plot(at, spread[0], "k-", label=SENSOR_NAMES[0])
+        right.plot(at, spread[1:].mean(axis=0), "k--", label="proximeters, mean")
+        right.set_xlabel("how much of it is over, %")
+        right.set_ylabel("spread of demonstrations,\nshare of a sensor's range")
+        right.set_ylim(0, None)
+        right.legend(frameon=False)
+        drawn.savefig(path, dpi=150)
+        plt.close(drawn)
+
+
+def spreads(records: Records) -> np.ndarray:
+    """`[n_s, 101]` standard deviation over the records, at the same share of each."""
+    at = [
+        rows[np.linspace(0, len(rows) - 1, 101).round().astype(int)]
+        for rows in records.sequences()[0]
+    ]
+    return (np.std(at, axis=0) / np.array(SENSOR_RANGES)).T
+
+
+if __name__ == "__main__":
+    main()

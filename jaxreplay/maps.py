@@ -1,0 +1,125 @@
+"""Maps of success: over two factors, or over where the cube stands. They only read datasets."""
+
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+import xarray as xr
+from matplotlib.patches import Rectangle
+
+from jaxreplay.factors import FACTORS
+from jaxreplay.figures import figure_3, label, title, write
+from jaxreplay.plane.demonstrator import DEMONSTRATED
+from jaxreplay.table import axes_of, cells
+
+COLUMNS = 4  # panels side by side
+MOST_ROWS = 4  # of figure 3
+MOST_POSITIONS = 12  # that are taken together
+COLOURS = "cividis"  # as light as it is large, to every eye and in grey
+
+
+def draw(dataset: xr.Dataset, folder: Path) -> str:
+    """Draw what suits a study, as PNG and PDF; returns the files' names.
+
+    Figure 3 for few values, else a map: of the plane if there are many positions, of two factors
+    if there are two numbers among them.
+    """
+    dims = axes_of(dataset)
+    sizes = sorted(dataset.sizes[d] for d in dims)
+    if dataset.sizes["position"] > MOST_POSITIONS:
+        name, figure = "map", position_map
+    elif np.prod(sizes[:-1]) > MOST_ROWS and sum(FACTORS[d].numeric for d in dims) > 1:
+        name, figure = "map", factor_map
+    else:
+        name, figure = "figure_3", figure_3
+    for suffix in ("png", "pdf"):
+        with plt.rc_context({"font.size": 8}):
+            figure(dataset, folder / f"{name}.{suffix}")
+    return f"{name}.png and {name}.pdf"
+
+
+def factor_map(dataset: xr.Dataset, path: str | Path) -> None:
+    """Success over two numeric axes; a panel for each combination of the others.
+
+    Args:
+        dataset: a study with at least two numeric axes; the two with most values are drawn.
+        path: where to save it, as its suffix says.
+    """
+    dims = axes_of(dataset)
+    numeric = sorted((d for d in dims if FACTORS[d].numeric), key=lambda d: -dataset.sizes[d])
+    x, y = sorted(numeric[:2], key=dims.index)
+    panels = list(cells(dataset, [d for d in dims if d not in (x, y)]))
+    figure, axes = _panels(
+        len(panels), 0.34 * dataset.sizes[x] + 0.35, 0.27 * dataset.sizes[y] + 0.6
+    )
+    for k, (ax, (values, runs)) in enumerate(zip(axes, panels, strict=True)):
+        rate = _rate(runs.transpose(y, x, ...)).values
+        image = ax.imshow(rate, cmap=COLOURS, vmin=0, vmax=100, origin="lower", aspect="auto")
+        for (row, column), value in np.ndenumerate(rate):
+            _number(ax, column, row, value)
+        ax.set_xticks(range(rate.shape[1]), [write(x, v) for v in dataset[x].values], rotation=90)
+        ax.set_yticks(range(rate.shape[0]), [write(y, v) for v in dataset[y].values])
+        if k % COLUMNS:
+            ax.tick_params(labelleft=False)
+        ax.set_title(title(values), fontsize=8)
+    figure.supxlabel(label(x), fontsize=8)
+    figure.supylabel(label(y), fontsize=8)
+    _finish(figure, axes, image, panels[0][1], path)
+
+
+def position_map(dataset: xr.Dataset, path: str | Path) -> None:
+    """Success by where the cube stands; a panel for each cell of the study."""
+    panels = list(cells(dataset, axes_of(dataset)))
+    left, ahead = 100 * dataset.cube_y.values, 100 * dataset.cube_x.values
+    width = 0.3 * len(np.unique(left)) + 0.6
+    figure, axes = _panels(len(panels), width, 0.3 * len(np.unique(ahead)) + 0.6)
+    low, high = 100 * DEMONSTRATED.min(axis=0), 100 * DEMONSTRATED.max(axis=0)
+    for ax, (values, runs) in zip(axes, panels, strict=True):
+        rate = _rate(runs, "repeat").values
+        image = ax.scatter(
+            left, ahead, s=190, c=rate, marker="s", cmap=COLOURS, vmin=0, vmax=100, linewidths=0
+        )
+        for x, y, value in zip(left, ahead, rate, strict=True):
+            _number(ax, x, y, value)
+        area = Rectangle(low[::-1], *(high - low)[::-1], fill=False, ls="--", label="demonstrated")
+        ax.add_patch(area)
+        ax.invert_xaxis()  # the robot's left is on the left
+        ax.set_title(title(values), fontsize=8)
+    axes[0].legend(loc="lower left", bbox_to_anchor=(0, 1), frameon=False, borderpad=0)
+    figure.supxlabel("cube, to the left of the robot's start, cm", fontsize=8)
+    figure.supylabel("cube, ahead, cm", fontsize=8)
+    _finish(figure, axes, image, dataset.isel(position=0), path)
+
+
+def _panels(n: int, width: float, height: float) -> tuple[plt.Figure, list[plt.Axes]]:
+    columns = min(n, COLUMNS)
+    rows = -(-n // columns)
+    figure, axes = plt.subplots(
+        rows,
+        columns,
+        figsize=(max(columns * width, 3) + 1.2, rows * height + 0.7),
+        squeeze=False,
+        layout="constrained",
+    )
+    for ax in axes.flat[n:]:
+        ax.remove()
+    return figure, list(axes.flat[:n])
+
+
+def _rate(runs: xr.Dataset, over=("position", "repeat")) -> xr.DataArray:
+    """Successes in percent of the runs that are finished."""
+    finished = (runs.outcome != "").sum(over)
+    return 100 * (runs.outcome == "S").sum(over) / finished.where(finished > 0)
+
+
+def _number(ax: plt.Axes, x: float, y: float, value: float):
+    if np.isfinite(value):
+        colour = "white" if value < 50 else "black"
+        ax.text(x, y, f"{value:.0f}", ha="center", va="center", fontsize=6, color=colour)
+
+
+def _finish(figure: plt.Figure, axes: list[plt.Axes], image, one: xr.Dataset, path: str | Path):
+    n = one.outcome.isel(dict.fromkeys(axes_of(one), 0)).size
+    figure.colorbar(image, ax=axes, label=f"S, % of {n} runs each", fraction=0.05)
+    figure.savefig(path, dpi=150)
+    plt.close(figure)

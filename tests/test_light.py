@@ -1,0 +1,60 @@
+import numpy as np
+import pytest
+
+from jaxreplay.config import StudyConfig
+from jaxreplay.factors import FACTORS
+from jaxreplay.plane.demonstrator import DEMONSTRATED, TESTED, facing, record
+from jaxreplay.plane.env import PlaneVectorEnv
+from jaxreplay.plane.light import Lit, lit
+from jaxreplay.plane.params import PlaneParams
+from jaxreplay.runs import records_of, runs_of, shards_of
+from jaxreplay.study import replays_of
+
+pytestmark = pytest.mark.usefixtures("fewer_windows")
+
+
+def test_worlds_are_as_they_were_but_for_their_light():
+    worlds, plain = Lit(PlaneVectorEnv(3)), PlaneVectorEnv(3)
+    options = {"cube": facing(TESTED[:3]), "reset_mask": np.ones(3, bool)}
+    seen = [env.reset(seed=[4, 5, 6], options=options)[0] for env in (worlds, plain)]
+    actions = np.tile([0.02, 0.01, 0.1, 0, 0], (3, 1))
+    for _ in range(5):
+        np.testing.assert_array_equal(seen[0][:, :7], seen[1])
+        seen = [env.step(actions)[0] for env in (worlds, plain)]
+    assert worlds.single_observation_space.contains(seen[0][0])
+    light = seen[0][:2, 7]
+    assert len(set(light)) == 2
+    again, _ = worlds.reset(
+        seed=[None, None, 4], options=options | {"reset_mask": np.arange(3) > 1}
+    )
+    np.testing.assert_array_equal(again[:, 7], [*light, light[0]])
+
+
+def test_light_is_on_average_in_the_middle_and_differs_from_run_to_run():
+    worlds = Lit(PlaneVectorEnv(400))
+    options = {"cube": facing(TESTED[np.zeros(400, int)]), "reset_mask": np.ones(400, bool)}
+    light = worlds.reset(seed=list(range(400)), options=options)[0][:, 7]
+    assert ((light >= 0) & (light <= 1)).all()
+    assert abs(light.mean() - 0.5) < 4 / np.sqrt(12 * 400)
+    assert abs(light.var() - 1 / 12) < 0.02
+
+
+def test_a_run_in_changing_light_is_a_run_of_its_own():
+    """The filter sees the light, and what comes of a run is told as of any other."""
+    records, _ = record(PlaneParams(), DEMONSTRATED[[6, 8]], 3)
+    bright = lit(records, 3)
+    for rows, lighted in zip(records.sequences()[0], bright.sequences()[0], strict=True):
+        np.testing.assert_array_equal(lighted[:, :7], rows)
+        assert np.ptp(lighted[:, 7]) == 0
+    fixed = {name: f.default for name, f in FACTORS.items()}
+    fixed |= {"theta_i": 0.01, "jump": "own_tau"}
+    del fixed["light"]
+    config = StudyConfig({"light": (False, True)}, fixed, repeats=1, positions=((0.3, 0.0),))
+    runs = runs_of(config)
+    parts = [runs.of(which) for which in shards_of(runs, 8)]
+    assert [len(part) for part in parts] == [1, 1]
+    assert [records_of(config, records, part).n_sensors for part in parts] == [7, 8]
+    plain, lighted = (replays_of(config, records, part) for part in parts)
+    assert plain.ending[0]
+    assert lighted.ending[0]
+    assert plain.log_evidence[0] != lighted.log_evidence[0]

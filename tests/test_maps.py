@@ -1,0 +1,80 @@
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+import xarray as xr
+
+from jaxreplay.maps import draw
+
+KINDS = np.array(["S", "Fs", "Fg", "Fb", ""])
+
+
+def dataset(sizes, seed=0):
+    """Random outcomes, some of them missing, over axes of so many values."""
+    values = {"theta_i": 0.1, "theta_tau": 0.05, "sigma": 0.3, "motor_unit": 0.01}
+    shape = tuple(sizes.values())
+    outcome = np.random.default_rng(seed).choice(KINDS, shape)
+    coords = {
+        name: values[name] / 2.0 ** np.arange(n) for name, n in sizes.items() if name in values
+    }
+    if "dithering" in sizes:
+        coords["dithering"] = [False, True]
+    n = sizes["position"]
+    coords |= {"cube_x": ("position", 0.2 + 0.01 * (np.arange(n) // 4))}
+    coords |= {"cube_y": ("position", 0.05 * (np.arange(n) % 4 - 2))}
+    both = {"alignment_error": np.ones(shape), "duration": np.ones(shape)}
+    variables = {
+        name: (tuple(sizes), array) for name, array in ({"outcome": outcome} | both).items()
+    }
+    return xr.Dataset(variables, coords)
+
+
+@pytest.fixture
+def drawn(monkeypatch):
+    """The figures that are saved."""
+    figures, save = [], plt.Figure.savefig
+    monkeypatch.setattr(
+        plt.Figure, "savefig", lambda self, *a, **k: (figures.append(self), save(self, *a, **k))
+    )
+    return figures
+
+
+def numbers(axes):
+    return [text.get_text() for text in axes.texts]
+
+
+def percent(outcome):
+    finished = np.sum(outcome != "")
+    return [f"{100 * np.sum(outcome == 'S') / finished:.0f}"] if finished else []
+
+
+def test_a_map_of_two_factors_tells_the_share_of_successes(drawn, tmp_path):
+    data = dataset({"sigma": 3, "dithering": 2, "theta_i": 4, "position": 2, "repeat": 2})
+    assert draw(data, tmp_path) == "map.png and map.pdf"
+    assert {path.name for path in tmp_path.iterdir()} == {"map.png", "map.pdf"}
+    panels = [ax for ax in drawn[0].axes if ax.texts]
+    assert [ax.get_title() for ax in panels] == ["dithering off", "dithering on"]
+    for k, ax in enumerate(panels):  # theta_i has most values, sigma stands before it
+        cells = data.outcome.values[:, k]
+        expected = [percent(cells[i, j]) for j in range(4) for i in range(3)]
+        assert numbers(ax) == [number for cell in expected for number in cell]
+        assert [t.get_text() for t in ax.get_xticklabels()] == ["0.3", "0.15", "0.075"]
+
+
+def test_a_map_of_positions_tells_the_share_of_successes_at_each(drawn, tmp_path):
+    data = dataset({"dithering": 2, "position": 16, "repeat": 6})
+    assert draw(data, tmp_path) == "map.png and map.pdf"
+    panels = [ax for ax in drawn[0].axes if ax.texts]
+    for k, ax in enumerate(panels):
+        expected = [percent(data.outcome.values[k, i]) for i in range(16)]
+        assert numbers(ax) == [number for cell in expected for number in cell]
+        where = [text.get_position() for text in ax.texts]
+        np.testing.assert_allclose(where, 100 * np.stack([data.cube_y, data.cube_x], axis=1))
+
+
+@pytest.mark.parametrize(
+    "sizes", [{"theta_i": 10, "dithering": 2}, {"theta_i": 4, "sigma": 4}, {"dithering": 2}]
+)
+def test_few_values_are_drawn_as_in_the_paper(sizes, drawn, tmp_path):
+    assert draw(dataset(sizes | {"position": 5, "repeat": 3}), tmp_path) == (
+        "figure_3.png and figure_3.pdf"
+    )
