@@ -114,12 +114,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
     tune = commands.add_parser(
         "tune",
         help="choose parameters from records alone",
-        description="Leave each record out in turn, filter it with the others, and climb the log "
-        "evidence of what it observed. Prints and saves the parameters, and the curve climbed.",
+        description="Leave each record out in turn, filter it with the others, and follow the "
+        "gradient of how well its commands are predicted. Prints and saves the parameters, and "
+        "draws the curve.",
     )
     tune.add_argument("records", type=Path, metavar="RECORDS", help="an .npz file of records")
     tune.add_argument("--jump", choices=PREDICTIONS, default="same_tau", help="reading of a jump")
-    tune.add_argument("--steps", type=_count, default=50, metavar="N", help="(default: 50)")
+    tune.add_argument(
+        "--score",
+        choices=("commands", "evidence"),
+        default="commands",
+        help="what to better: the error of predicted commands, or the log evidence of what was "
+        "observed, which means little where a sensor repeats values exactly",
+    )
+    tune.add_argument("--steps", type=_count, default=30, metavar="N", help="(default: 30)")
     tune.add_argument(
         "--out",
         type=Path,
@@ -324,21 +332,22 @@ def _tune(options: argparse.Namespace) -> int:
         raise ConfigError(f"--out {path}: give a file whose name ends in .toml")
     try:
         records = Records.load(options.records)
-        if records.n_records < 2:
-            raise ValueError(
-                f"{options.records} holds 1 record; tuning leaves one out of 2 or more"
-            )
     except ValueError as error:
         raise ConfigError(str(error)) from None
     path.parent.mkdir(parents=True, exist_ok=True)
-    with tqdm(desc="climbing", unit="step", total=options.steps, disable=None) as bar:
+    with tqdm(unit="step", disable=None) as bar:
 
         def progress(what: str, done: int, total: int):
             bar.set_description(what, refresh=False)
             bar.total = total
             bar.update(done - bar.n)
 
-        tuned = tune(records, usual(records), options.jump, options.steps, progress)
+        try:
+            tuned = tune(
+                records, usual(records), options.jump, options.score, options.steps, progress
+            )
+        except ValueError as error:
+            raise ConfigError(f"{options.records}: {error}") from None
     print(text(records, tuned))
     write(records, tuned, options.records, path)
     draw(records, tuned, path.with_suffix(".png"))

@@ -52,7 +52,6 @@ def mills_ratio(x: jax.Array) -> jax.Array:
     return value * w
 
 
-@jax.custom_jvp
 def likelihood(records: Records, sigma: jax.Array, z: jax.Array, anchor: jax.Array) -> Scaled:
     """Equation 2: p(Z_t | I_t = i, τ_t = j) for all i and j, over the density at the anchor.
 
@@ -64,9 +63,6 @@ def likelihood(records: Records, sigma: jax.Array, z: jax.Array, anchor: jax.Arr
     point Gaussian, its limit; a record of length 1 is a point. A NaN in z is a sensor that
     gave nothing, and tells no state from another.
 
-    Differentiable in σ only, by a formula of its own: what JAX would derive takes three times
-    as long.
-
     Args:
         records: N records.
         sigma: `[n_s]` σ.
@@ -76,44 +72,12 @@ def likelihood(records: Records, sigma: jax.Array, z: jax.Array, anchor: jax.Arr
     Returns:
         `[N, L]` p(Z_t | i, j) / p(Z_t | anchor), the anchor a point Gaussian (see
         :func:`log_density`). Values past a record's end mean nothing.
-
-    Raises:
-        TypeError: the derivative in something else than σ is asked for.
     """
-    seen, frame, nodes = _around(records, sigma, z, anchor)
-    states = _states(_segments(nodes, frame), seen)
-    return jax.tree.map(lambda x: x.reshape(records.n_records, -1)[:, :-2], states)
-
-
-def _likelihood_jvp(primals, tangents):
-    records, sigma, z, anchor = primals
-    others = jax.tree.leaves((tangents[0], *tangents[2:]), is_leaf=_is_zero)
-    if not all(map(_is_zero, others)):
-        raise TypeError("the likelihood can be differentiated in σ only")
-    seen, frame, nodes = _around(records, sigma, z, anchor)
-    segments = _segments(nodes, frame)
-    states = _states(segments, seen)
-    slope = _log_slope(segments, _mean_square(nodes, frame, segments), frame, seen)
-    change = jnp.zeros_like(sigma) if _is_zero(tangents[1]) else tangents[1] / sigma
-    mantissa = states.mantissa * jnp.einsum("kn,k->n", slope, change, precision="highest")
-    shape = records.n_records, -1
-    states, mantissa = jax.tree.map(lambda x: x.reshape(shape)[:, :-2], (states, mantissa))
-    return states, Scaled(mantissa, np.zeros(mantissa.shape, jax.dtypes.float0))
-
-
-likelihood.defjvp(_likelihood_jvp, symbolic_zeros=True)
-
-
-def _is_zero(tangent) -> bool:
-    return isinstance(tangent, jax.custom_derivatives.SymbolicZero)
-
-
-def _around(records: Records, sigma, z, anchor) -> "tuple[jax.Array, _Frame, _Nodes]":
-    """Which sensors `[n_s, 1]` are not missing, and all samples as seen from the observation."""
     z, seen = _seen(records, z)
     frame = _frame(*(value[:, None] for value in (sigma, z, anchor)))
     zeta = _in_unit(records.nodes.reshape(records.n_sensors, -1), frame)
-    return seen[:, None], frame, _nodes(zeta, frame)
+    states = _states(_segments(_nodes(zeta, frame), frame), seen[:, None])
+    return jax.tree.map(lambda x: x.reshape(records.n_records, -1)[:, :-2], states)
 
 
 def anchor_point(records: Records, sigma: jax.Array, z: jax.Array, prior: Scaled) -> jax.Array:
@@ -276,34 +240,6 @@ def _segment_mean(nodes: _Nodes, frame: _Frame, exponent):
     mean -= (db * (db * db - 3 * d2) * b - da * (da * da - 3 * d2) * a) / 720
     mean = jnp.where(short, mean, integral / jnp.where(short, 1.0, jnp.abs(d)))
     return jnp.maximum(mean, 2.0**-12)
-
-
-@stage
-def _mean_square(nodes: _Nodes, frame: _Frame, segments: Scaled):
-    """As :func:`_segment_mean`, of x² N(z; ·, σ²) with x the distance from z in σ."""
-    start, end, _ = _ends(nodes, frame)
-    a, b = start.density.at(segments.exponent), end.density.at(segments.exponent)
-    x_start, x_end = ((node.zeta - frame.z) * frame.inverse for node in (start, end))
-    d = (end.zeta - start.zeta) * frame.inverse
-    reach = jnp.maximum(jnp.maximum(jnp.abs(x_start), jnp.abs(x_end)), 1.0)
-    short = jnp.abs(d) * reach < _SHORT[d.dtype]
-    whole = segments.mantissa - (x_end * b - x_start * a) / jnp.where(short, 1.0, d)  # by parts
-    a, b = x_start * a, x_end * b
-    ends = (x_start * a + x_end * b) / 2
-    ends += d * ((2 - x_start * x_start) * a - (2 - x_end * x_end) * b) / 12
-    return jnp.where(short, ends, whole)
-
-
-@stage
-def _log_slope(segments: Scaled, mean_square, frame: _Frame, seen):
-    """∂ log / ∂ log σ of each sensor's factor in each of :func:`_states`, `[n_s, N (L + 2)]`."""
-    left, right = segments[:, :-1], segments[:, 1:]
-    exponent = jnp.maximum(left.exponent, right.exponent)
-    squares = Scaled(mean_square, segments.exponent)
-    square = squares[:, :-1].at(exponent) + squares[:, 1:].at(exponent)
-    anchored = (frame.anchor - frame.z) * frame.inverse
-    slope = square / (left.at(exponent) + right.at(exponent)) - anchored * anchored
-    return jnp.pad(jnp.where(seen, slope, 0.0), ((0, 0), (0, 2)))
 
 
 def _ends(nodes: _Nodes, frame: _Frame) -> tuple[_Nodes, _Nodes, jax.Array]:

@@ -13,7 +13,7 @@ from jaxreplay.params import Params
 from jaxreplay.records import Records
 from jaxreplay.tuning import SHARES, Scores, climb, leave_one_out, sensor_span
 
-MARKS = 21  # parameters along the climb that all records are left out for
+MARKS = 16  # parameters along the climb that all records are left out for
 _STYLES = ("-", "--", "-.", ":")
 
 
@@ -24,15 +24,22 @@ class Tuned(NamedTuple):
         path: `[K + 1]`-batched parameters, from the start on.
         marks: `[M]` the steps after which scores were taken, ascending from 0.
         scores: of those M sets of parameters.
-        best: index into the marks: where the log evidence is highest. These are the parameters.
         jump: the reading of a jump.
+        score: what was climbed, one of `SCORES`.
     """
 
     path: Params
     marks: np.ndarray
     scores: Scores
-    best: int
     jump: str
+    score: str
+
+    @property
+    def best(self) -> int:
+        """Index into the marks: where the score climbed is best. These are the parameters."""
+        if self.score == "commands":
+            return int(np.argmin(self.scores.command_error))
+        return int(np.argmax(self.scores.log_evidence))
 
     def params(self, mark: int) -> Params:
         """One set, as NumPy holds it."""
@@ -43,6 +50,7 @@ def tune(
     records: Records,
     start: Params,
     jump: str,
+    score: str,
     steps: int,
     progress: Callable[[str, int, int], None] = lambda what, done, total: None,
 ) -> Tuned:
@@ -54,21 +62,22 @@ def tune(
         records: N ≥ 2 records.
         start: one set of parameters.
         jump: `"same_tau"` or `"own_tau"`.
+        score: to climb, one of `SCORES`.
         steps: of the climb.
         progress: called with what is being done, how much of it is done and its total.
 
     Raises:
-        ValueError: fewer than 2 records.
+        ValueError: fewer than 2 records, or no command to predict.
     """
     path = []
-    for params in climb(records, start, jump, steps):
-        progress("climbing", len(path), steps)
+    for params in climb(records, start, jump, score, steps):
         path.append(params)
+        progress("climbing", len(path) - 1, steps)
     path = jax.tree.map(lambda *each: np.stack(each), *path)
     marks = np.unique(np.linspace(0, steps, MARKS).round().astype(int))
     at_marks = jax.tree.map(lambda x: x[marks], path)
     scores = leave_one_out(records, at_marks, jump, None, lambda *n: progress("scoring", *n))
-    return Tuned(path, marks, scores, int(np.argmax(scores.log_evidence)), jump)
+    return Tuned(path, marks, scores, jump, score)
 
 
 def text(records: Records, tuned: Tuned) -> str:
@@ -93,7 +102,7 @@ def text(records: Records, tuned: Tuned) -> str:
     ]
     if error[tuned.best] > error[0]:
         lines.append(
-            "Commands are predicted worse than at the start: do not trust the evidence here."
+            "Commands are predicted worse than at the start: give --score commands instead."
         )
     return "\n".join(lines)
 
@@ -107,8 +116,8 @@ def write(records: Records, tuned: Tuned, source: Path, path: Path) -> None:
     )
     lines = [
         f"# Parameters tuned on {json.dumps(str(source), ensure_ascii=False)}",
-        f"# for the reading {tuned.jump} of a jump: each of {records.n_records} records",
-        "# was left out in turn and filtered with the others.",
+        f"# for the reading {tuned.jump} of a jump, by {tuned.score}: each of {records.n_records}",
+        "# records was left out in turn and filtered with the others.",
         f"# Log evidence a time step: {evidence}.",
         f"# Error of the predicted command: {error}",
         "# (root mean square, as a share of each command's range).",

@@ -2,25 +2,46 @@ import dataclasses
 import tomllib
 
 import jax
+import matplotlib.image
 import numpy as np
 import pytest
 from conftest import random_sequences
+from filter_helpers import COMPILE_QUICKLY, both_readings
 
-from jaxreplay import Params, Records, cli, log_evidence, reference, tuning
+from jaxreplay import Params, Records, cli, reference, tuning
 
-LENGTHS = (60, 52, 44)
+LENGTHS = (60, 52, 44)  # one shape for all, so that JAX compiles once
 SIGMA = np.array([0.5, 2.0])
-GRID = Params([0.125, 0.5], [0.0625, 0.25], [SIGMA, 2 * SIGMA])
+GRID = Params(  # five sets of parameters wherever scores are taken, for the same reason
+    [0.125, 0.5, 0.0625, 0.25, 0.75],
+    [0.0625, 0.25, 0.125, 0.5, 0.0],
+    np.array([1, 2, 0.5, 4, 1])[:, None] * SIGMA,
+)
 
-both_readings = pytest.mark.parametrize("jump", ["same_tau", "own_tau"])
+
+@pytest.fixture(scope="module", autouse=True)
+def quickly():
+    """The gradient compiled so: it takes longer to compile than all else takes to run."""
+    compiled = jax.jit(
+        tuning._gradient.__wrapped__,
+        static_argnames="jump",
+        compiler_options=COMPILE_QUICKLY,
+    )
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(tuning, "_gradient", compiled)
+        yield
 
 
 @pytest.fixture(scope="module")
 def sequences():
-    """Three walks that begin alike, so that one may be followed by means of the others."""
+    """Three walks that begin alike, so that one may be followed by means of the others.
+
+    The last of three commands never changes.
+    """
     sensors, commands = random_sequences(3, LENGTHS, step=0.25)
     common = np.cumsum(np.ones((max(LENGTHS), 2)), axis=0) / 8
-    return [s + common[: len(s)] for s in sensors], commands
+    sensors = [s + common[: len(s)] for s in sensors]
+    return sensors, [np.column_stack([c, np.full(len(c), 7)]) for c in commands]
 
 
 @pytest.fixture(scope="module")
@@ -29,13 +50,13 @@ def records(sequences):
 
 
 def expected(sequences, i, theta_i, theta_tau, sigma, jump):
-    """Log evidence of record i, and its squared command errors `[T, n_u]`, by the reference."""
+    """Log evidence of record i, and its squared command errors `[T, 2]`, by the reference."""
     span = np.ptp(np.concatenate(sequences[1]), axis=0)
     sensors, commands = ([x for k, x in enumerate(part) if k != i] for part in sequences)
     belief, total, squares = reference.initial(sensors), 0.0, []
     for z, v in zip(sequences[0][i], sequences[1][i], strict=True):
         belief = reference.predict(sensors, theta_i, theta_tau, belief, jump)
-        squares.append(((reference.command(commands, belief) - v) / span) ** 2)
+        squares.append(((reference.command(commands, belief) - v)[:2] / span[:2]) ** 2)
         belief, gained = reference.update(sensors, sigma, belief, z)
         total += gained
     return total, np.array(squares)
@@ -45,7 +66,7 @@ def expected(sequences, i, theta_i, theta_tau, sigma, jump):
 def test_scores_are_the_references(sequences, records, jump):
     scores = tuning.leave_one_out(records, GRID, jump)
     assert scores.steps.tolist() == list(LENGTHS)
-    for p in range(2):
+    for p in range(5):
         values = float(GRID.theta_i[p]), float(GRID.theta_tau[p]), np.asarray(GRID.sigma[p], float)
         each = [expected(sequences, i, *values, jump) for i in range(3)]
         for i, (evidence, squares) in enumerate(each):
@@ -80,86 +101,105 @@ def test_what_is_left_out_tells_nothing_of_itself(records):
         np.testing.assert_array_equal(ours, theirs)
 
 
-@pytest.mark.parametrize("i", range(3))
-def test_left_out_is_the_subset_of_the_others_in_one_shape(sequences, records, i):
-    part = tuning.leave_out(records, i)
-    others = [k for k in range(3) if k != i]
-    for ours, theirs in zip(part.sequences(), sequences, strict=True):
-        for a, k in zip(ours, others, strict=True):
-            np.testing.assert_allclose(a, theirs[k], rtol=1e-6)
-    subset = records.subset(others)
-    np.testing.assert_array_equal(part.span, subset.span)
-    assert part.nodes.shape == (2, 2, max(LENGTHS) + 2)
+@pytest.mark.parametrize(("n", "i"), [(1, 0), (3, 3), (3, -1)])
+def test_what_cannot_be_left_out_is_refused(records, n, i):
+    with pytest.raises(ValueError, match="cannot be left out" if n == 1 else "no record"):
+        tuning.leave_out(records.subset(range(n)), i)
 
 
-@both_readings
-def test_the_gradient_is_that_of_differences_of_the_reference(sequences, records, jump):
-    """In logit θ_I, logit 2 θ_τ and log σ."""
-    params = Params(0.125, 0.0625, SIGMA)
-    free, seen = tuning._free(params), tuning._observations(records)
-    ours = tuning._gradient(free, tuning.leave_out(records, 0), seen[0], jump)
+@pytest.mark.parametrize(
+    ("jump", "score"),
+    [("same_tau", "commands"), ("own_tau", "commands"), ("own_tau", "evidence")],
+)
+def test_the_gradient_is_that_of_differences_of_the_reference(sequences, records, jump, score):
+    """In logit θ_I, logit 2 θ_τ and log σ; of a record that is shorter than the arrays."""
+    free, i = tuning._free(Params(0.125, 0.0625, SIGMA)), 1
+    part, row = tuning.leave_out(records, i), tuning._rows(records)[i]
+    scale = tuning._command_scale(records)
+    weights = np.array([score == name for name in tuning.SCORES], float)
+    ours = tuning._gradient(free, part, row, scale, weights, jump)
     at = np.concatenate([np.ravel(x) for x in free]).astype(float)
 
-    def evidence(x):
+    def loss(x):
         theta_i, theta_tau = 1 / (1 + np.exp(-x[:2]))
-        return expected(sequences, 0, theta_i, theta_tau / 2, np.exp(x[2:]), jump)[0]
+        evidence, squares = expected(sequences, i, theta_i, theta_tau / 2, np.exp(x[2:]), jump)
+        return squares.mean(axis=1).sum() if score == "commands" else -evidence
 
     eye, h = np.eye(4), 1e-4
-    want = [(evidence(at + h * e) - evidence(at - h * e)) / (2 * h) for e in eye]
+    want = [(loss(at + h * e) - loss(at - h * e)) / (2 * h) for e in eye]
     np.testing.assert_allclose(np.concatenate([np.ravel(x) for x in ours]), want, rtol=1e-3)
 
 
-def test_the_climb_comes_to_the_best_of_a_grid():
-    """Records that are each other and noise of a known σ: one sensor, no jump needed."""
+@pytest.fixture(scope="module")
+def paced():
+    """The same way at three paces, seen with noise: neither time nor what is seen tells enough.
+
+    The second sensor sees nothing but noise.
+    """
     rng = np.random.default_rng(0)
-    sensors = [np.linspace(0, 6, 40)[:, None] + 0.3 * rng.normal(size=(40, 1)) for _ in range(3)]
-    records = Records.from_sequences(sensors, sensors)
-    *_, end = tuning.climb(records, tuning.usual(records), "own_tau", steps=60)
-    sigmas = np.geomspace(0.1, 1.5, 25)
-    grid = Params(
-        np.full(25, end.theta_i), np.full(25, end.theta_tau), sigmas[:, None].astype(np.float32)
-    )
-    scores = tuning.leave_one_out(records, grid, "own_tau")
-    best = sigmas[np.argmax(scores.log_evidence)]
-    assert np.log(end.sigma[0] / best) == pytest.approx(0, abs=0.12)  # one of the grid's steps
-    at_end = jax.tree.map(lambda x: x[None], end)
-    assert tuning.leave_one_out(records, at_end, "own_tau").log_evidence[0] > (
-        scores.log_evidence.max() - 0.01
-    )
+    ways = [np.linspace(0, 6, n) for n in LENGTHS]
+    sensors = [np.column_stack([w, 0 * w]) + 0.3 * rng.normal(size=(len(w), 2)) for w in ways]
+    commands = [np.column_stack([np.sin(w), np.cos(w), 0 * w + 7]) for w in ways]
+    return Records.from_sequences(sensors, commands)
 
 
-def test_a_sensor_that_repeats_itself_stops_at_the_least_sigma(monkeypatch):
+def test_the_climb_comes_to_the_best_of_a_grid(paced):
+    """Of the two σ; within a tenth of what there is to gain."""
+    *_, end = tuning.climb(paced, tuning.usual(paced), "own_tau", steps=40)
+    across = np.geomspace(0.04, 4, 5)
+
+    def errors(sigmas):
+        thetas = [np.full(5, theta) for theta in (end.theta_i, end.theta_tau)]
+        return tuning.leave_one_out(paced, Params(*thetas, sigmas), "own_tau").command_error
+
+    best = min(errors(np.column_stack([np.full(5, a), across])).min() for a in across)
+    before, *_, after = errors(np.geomspace(tuning.usual(paced).sigma, end.sigma, 5))
+    assert best < 0.8 * before
+    assert after - best < 0.1 * (before - best)
+
+
+def test_evidence_drives_the_sigma_of_what_repeats_itself_to_the_least(paced, monkeypatch):
     monkeypatch.setattr(tuning, "SHARES", (0.05, 10.0))
-    seen = np.column_stack([np.linspace(0, 6, 40), np.tile([0.0, 1.0], 20)])
-    noise = 0.3 * np.random.default_rng(0).normal(size=(3, 40, 1)) * [1, 0]
-    records = Records.from_sequences(seen + noise, seen + noise)
-    *_, end = tuning.climb(records, tuning.usual(records), "own_tau", steps=40)
+    sensors, commands = paced.sequences()
+    sensors = [np.column_stack([s[:, 0], np.arange(len(s)) % 2]) for s in sensors]
+    repeating = Records.from_sequences(sensors, commands)
+    *_, end = tuning.climb(repeating, tuning.usual(repeating), "own_tau", "evidence", steps=30)
     assert end.sigma[1] == pytest.approx(0.05, rel=1e-5)
 
 
-def test_tune_prints_and_saves(tmp_path, records, capsys):
+@pytest.mark.parametrize("score", tuning.SCORES)
+def test_tune_prints_and_saves(tmp_path, records, capsys, score):
     path = tmp_path / "walks.npz"
     records.save(path)
-    assert cli.main(["tune", str(path), "--jump", "own_tau", "--steps", "4"]) == 0
+    given = ["--jump", "own_tau", "--steps", "4", "--score", score]
+    assert cli.main(["tune", str(path), *given]) == 0
     printed = capsys.readouterr().out
     saved = tomllib.loads((tmp_path / "walks_own_tau.toml").read_text(encoding="utf-8"))
     assert list(saved) == ["theta_i", "theta_tau", "sigma"]
     assert list(saved["sigma"]) == ["z0", "z1"]
-    assert (tmp_path / "walks_own_tau.png").stat().st_size > 0
+    assert matplotlib.image.imread(tmp_path / "walks_own_tau.png").std() > 0
 
     usual = tuning.usual(records)
     held = Params(saved["theta_i"], saved["theta_tau"], list(saved["sigma"].values()))
-    pair = jax.tree.map(lambda *x: np.stack(x), usual, held)
-    before, after = tuning.leave_one_out(records, pair, "own_tau").log_evidence
-    assert after > before
-    row = next(line for line in printed.splitlines() if line.startswith("log evidence"))
-    assert [float(x) for x in row.split()[2:4]] == pytest.approx([before, after], rel=1e-3)
+    five = jax.tree.map(lambda *x: np.stack(x), usual, held, held, held, held)
+    scores = jax.tree.map(lambda x: x[:2], tuning.leave_one_out(records, five, "own_tau"))
+    if score == "commands":
+        assert scores.command_error[1] < scores.command_error[0]
+    else:
+        assert scores.log_evidence[1] > scores.log_evidence[0]
+    for name, want in (
+        ("log evidence", scores.log_evidence),
+        ("command error", 100 * scores.command_error),
+    ):
+        row = next(line for line in printed.splitlines() if line.startswith(name))
+        assert [float(x) for x in row.split()[2:4]] == pytest.approx(want, rel=1e-3)
 
 
 @pytest.mark.parametrize(
     ("held", "arguments", "message"),
     [
-        (1, [], "one.npz holds 1 record; tuning leaves one out of 2 or more"),
+        (1, [], "one.npz: one record cannot be left out: there is only 1; at least 2 are needed"),
+        (2, [], "one.npz: no command ever changes in the records: there is none to predict"),
         (0, [], "no records file"),
         (None, [], "does not hold records"),
         (2, ["--out", "here.txt"], "here.txt: give a file whose name ends in .toml"),
@@ -170,14 +210,9 @@ def test_a_mistake_is_one_line(tmp_path, records, capsys, held, arguments, messa
     if held is None:
         path.write_text("no")
     elif held:
-        records.subset(range(held)).save(path)
+        still = dataclasses.replace(records, commands=0 * records.commands)
+        (still if held == 2 else records).subset(range(held)).save(path)
     assert cli.main(["tune", str(path), *arguments]) == 2
     told = capsys.readouterr().err
     assert message in told
     assert told.count("\n") == 1
-
-
-def test_derivatives_in_what_cannot_be_chosen_are_refused(records):
-    seen = np.zeros((3, 2), np.float32)
-    with pytest.raises(TypeError, match="in σ only"):
-        jax.grad(lambda z: log_evidence(records, Params(0.1, 0.05, SIGMA), z))(seen)
