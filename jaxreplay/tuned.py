@@ -8,6 +8,7 @@ from typing import NamedTuple
 import jax
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.ticker import LogLocator, NullFormatter
 
 from jaxreplay.params import Params
 from jaxreplay.records import Records
@@ -158,12 +159,16 @@ def draw(records: Records, tuned: Tuned, path: Path) -> None:
         for ax in axes.flat:
             ax.axvline(tuned.marks[tuned.best], color="0.7", lw=0.8, zorder=0)
         for ax in (thetas, sigmas):
+            ax.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+            ax.yaxis.set_major_formatter("{x:g}")
+            ax.yaxis.set_minor_formatter(NullFormatter())
             ax.legend(loc="center left", bbox_to_anchor=(1, 0.5), frameon=False, fontsize=8)
         for ax in axes[1]:
             ax.set_xlabel("step of the climb")
         n = len(tuned.scores.steps)
         figure.suptitle(
-            f"{n} records, each left out in turn; {tuned.jump}; grey line: the parameters kept",
+            f"{n} records, each left out in turn; {tuned.jump}, climbed by {tuned.score}; "
+            "grey line: the parameters kept",
             fontsize=9,
         )
         figure.savefig(path, dpi=120)
