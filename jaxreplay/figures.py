@@ -2,9 +2,11 @@
 
 from pathlib import Path
 
-import matplotlib.pyplot as plt
+import matplotlib
 import numpy as np
 import xarray as xr
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from jaxreplay.factors import FACTORS
 from jaxreplay.study import OUTCOMES, config_of
@@ -28,23 +30,20 @@ STYLES = (  # variable, label, marker, colour, its face, and how far beside the 
 def figure_3(dataset: xr.Dataset, path: str | Path) -> None:
     """Figure 3 of the paper over θ_I, or another axis; saved as the path's suffix says.
 
-    That is the first numeric axis, or the one with most values if there is none. A row for each
-    combination of the others.
+    That is the numeric axis with most values, or any if there is none. A row for each combination
+    of the others.
     """
     if not axes_of(dataset):
         dataset = dataset.expand_dims(theta_i=[config_of(dataset).fixed["theta_i"]])
     axes = axes_of(dataset)
-    numeric = [a for a in ("theta_i", *axes) if a in axes and FACTORS[a].numeric]
-    along = numeric[0] if numeric else max(axes, key=lambda a: dataset.sizes[a])
+    along = max(axes, key=lambda a: (a == "theta_i", FACTORS[a].numeric, dataset.sizes[a]))
     others = [a for a in axes if a != along]
     panels = list(cells(dataset, others))
     n = len(panels)
-    with plt.rc_context({"font.size": 9, "axes.spines.top": False, "hatch.linewidth": 0.5}):
-        figure, rows = plt.subplots(
-            n, 2, figsize=(8, 2.7 * n + 0.5), squeeze=False, sharex=True, layout="constrained"
-        )
-        won = dataset.where(dataset.outcome == "S")
-        tops = [1.1 * np.nan_to_num(won[name].max().item(), nan=1) for name, *_ in STYLES]
+    with matplotlib.rc_context({"font.size": 9, "axes.spines.top": False, "hatch.linewidth": 0.5}):
+        figure = Figure(figsize=(8, 2.7 * n + 0.5), layout="constrained")
+        rows = figure.subplots(n, 2, squeeze=False, sharex=True)
+        tops = [1.15 * _highest(dataset, name) for name, *_ in STYLES]
         for row, (values, runs) in zip(rows, panels, strict=True):
             _outcomes(row[0], runs, along)
             _error_and_duration(row[1], runs, along, tops)
@@ -54,7 +53,12 @@ def figure_3(dataset: xr.Dataset, path: str | Path) -> None:
         handles, labels = rows[0][0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside upper center", ncols=4, frameon=False)
         figure.savefig(path, dpi=150)
-        plt.close(figure)
+
+
+def _highest(dataset: xr.Dataset, name: str) -> float:
+    """The largest mean of successful runs in a cell."""
+    means = dataset[name].where(dataset.outcome == "S").mean(("position", "repeat"))
+    return float(np.nan_to_num(means.max().item(), nan=1))
 
 
 def title(values: dict) -> str:
@@ -79,14 +83,14 @@ def write(axis: str, value) -> str:
     return short(value)
 
 
-def _axis(axes: plt.Axes, runs: xr.Dataset, along: str):
+def _axis(axes: Axes, runs: xr.Dataset, along: str):
     texts = [write(along, value) for value in runs[along].values]
-    steep = max(map(len, texts)) > 8 and along != "theta_i"
+    steep = len(texts) > 8 or (max(map(len, texts)) > 8 and along != "theta_i")
     axes.set_xticks(range(len(texts)), texts, rotation=90 if steep else 0)
     axes.set_xlim(-0.6, len(texts) - 0.4)
 
 
-def _outcomes(axes: plt.Axes, runs: xr.Dataset, along: str):
+def _outcomes(axes: Axes, runs: xr.Dataset, along: str):
     counts = {o: (runs.outcome == o).sum(("position", "repeat")).values for o in OUTCOMES}
     total = sum(counts.values())
     bottom = np.zeros(len(total))
@@ -103,13 +107,13 @@ def _outcomes(axes: plt.Axes, runs: xr.Dataset, along: str):
     axes.errorbar(
         range(len(total)), rates, np.abs(reach - rates), fmt="none", color="black", capsize=3, lw=1
     )
-    axes.set_ylabel(f"runs, % (of {max(total)} each; bars: 95 % of S)")
+    axes.set_ylabel(f"runs, % (of {max(total)} each)\nwhiskers: 95 % interval of S", fontsize=8)
     axes.set_ylim(0, 100)
     axes.spines["right"].set_visible(False)
     _axis(axes, runs, along)
 
 
-def _error_and_duration(axes: plt.Axes, runs: xr.Dataset, along: str, tops: list[float]):
+def _error_and_duration(axes: Axes, runs: xr.Dataset, along: str, tops: list[float]):
     sides = axes, axes.twinx()
     for ax, (name, label, marker, colour, face, shift), top in zip(
         sides, STYLES, tops, strict=True

@@ -1,10 +1,13 @@
 """Maps of success: over two factors, or over where the cube stands. They only read datasets."""
 
 from pathlib import Path
+from textwrap import fill
 
-import matplotlib.pyplot as plt
+import matplotlib
 import numpy as np
 import xarray as xr
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from jaxreplay.factors import FACTORS
@@ -13,7 +16,7 @@ from jaxreplay.plane.demonstrator import DEMONSTRATED
 from jaxreplay.table import axes_of, cells
 
 COLUMNS = 4  # panels side by side
-MOST_ROWS = 4  # of figure 3
+MOST_ROWS = 4  # of figure 3, or panels of the plane
 MOST_POSITIONS = 12  # that are taken together
 COLOURS = "cividis"  # as light as it is large, to every eye and in grey
 
@@ -21,19 +24,19 @@ COLOURS = "cividis"  # as light as it is large, to every eye and in grey
 def draw(dataset: xr.Dataset, folder: Path) -> str:
     """Draw what suits a study, as PNG and PDF; returns the files' names.
 
-    Figure 3 for few values, else a map: of the plane if there are many positions, of two factors
-    if there are two numbers among them.
+    Figure 3 for few values, else a map of two factors if there are two numbers among them; a map
+    of the plane for many positions and few values.
     """
     dims = axes_of(dataset)
     sizes = sorted(dataset.sizes[d] for d in dims)
-    if dataset.sizes["position"] > MOST_POSITIONS:
+    if dataset.sizes["position"] > MOST_POSITIONS and np.prod(sizes) <= MOST_ROWS:
         name, figure = "map", position_map
     elif np.prod(sizes[:-1]) > MOST_ROWS and sum(FACTORS[d].numeric for d in dims) > 1:
         name, figure = "map", factor_map
     else:
         name, figure = "figure_3", figure_3
     for suffix in ("png", "pdf"):
-        with plt.rc_context({"font.size": 8}):
+        with matplotlib.rc_context({"font.size": 8}):
             figure(dataset, folder / f"{name}.{suffix}")
     return f"{name}.png and {name}.pdf"
 
@@ -62,8 +65,7 @@ def factor_map(dataset: xr.Dataset, path: str | Path) -> None:
         if k % COLUMNS:
             ax.tick_params(labelleft=False)
         ax.set_title(title(values), fontsize=8)
-    figure.supxlabel(label(x), fontsize=8)
-    figure.supylabel(label(y), fontsize=8)
+    _name(figure, label(x), label(y))
     _finish(figure, axes, image, panels[0][1], path)
 
 
@@ -86,24 +88,26 @@ def position_map(dataset: xr.Dataset, path: str | Path) -> None:
         ax.invert_xaxis()  # the robot's left is on the left
         ax.set_title(title(values), fontsize=8)
     axes[0].legend(loc="lower left", bbox_to_anchor=(0, 1), frameon=False, borderpad=0)
-    figure.supxlabel("cube, to the left of the robot's start, cm", fontsize=8)
-    figure.supylabel("cube, ahead, cm", fontsize=8)
+    _name(figure, "cube, to the left of the robot's start, cm", "cube, ahead, cm")
     _finish(figure, axes, image, dataset.isel(position=0), path)
 
 
-def _panels(n: int, width: float, height: float) -> tuple[plt.Figure, list[plt.Axes]]:
+def _panels(n: int, width: float, height: float) -> tuple[Figure, list[Axes]]:
     columns = min(n, COLUMNS)
     rows = -(-n // columns)
-    figure, axes = plt.subplots(
-        rows,
-        columns,
-        figsize=(max(columns * width, 3) + 1.2, rows * height + 0.7),
-        squeeze=False,
-        layout="constrained",
-    )
+    size = (max(columns * width, 3) + 1.2, max(rows * height, 1.8) + 0.7)
+    figure = Figure(figsize=size, layout="constrained")
+    axes = figure.subplots(rows, columns, squeeze=False)
     for ax in axes.flat[n:]:
         ax.remove()
     return figure, list(axes.flat[:n])
+
+
+def _name(figure: Figure, x: str, y: str):
+    """Both axes, in as many lines as it takes."""
+    width, height = figure.get_size_inches()
+    figure.supxlabel(fill(x, int(14 * (width - 1.2))), fontsize=8)
+    figure.supylabel(fill(y, int(14 * (height - 0.7))), fontsize=8)
 
 
 def _rate(runs: xr.Dataset, over=("position", "repeat")) -> xr.DataArray:
@@ -112,14 +116,13 @@ def _rate(runs: xr.Dataset, over=("position", "repeat")) -> xr.DataArray:
     return 100 * (runs.outcome == "S").sum(over) / finished.where(finished > 0)
 
 
-def _number(ax: plt.Axes, x: float, y: float, value: float):
+def _number(ax: Axes, x: float, y: float, value: float):
     if np.isfinite(value):
         colour = "white" if value < 50 else "black"
         ax.text(x, y, f"{value:.0f}", ha="center", va="center", fontsize=6, color=colour)
 
 
-def _finish(figure: plt.Figure, axes: list[plt.Axes], image, one: xr.Dataset, path: str | Path):
+def _finish(figure: Figure, axes: list[Axes], image, one: xr.Dataset, path: str | Path):
     n = one.outcome.isel(dict.fromkeys(axes_of(one), 0)).size
     figure.colorbar(image, ax=axes, label=f"S, % of {n} runs each", fraction=0.05)
     figure.savefig(path, dpi=150)
-    plt.close(figure)

@@ -5,7 +5,8 @@ decides between two hypotheses is their ratio, and far from every record (hundre
 difference of their logarithms is smaller than the rounding of either.
 """
 
-from functools import reduce
+from collections.abc import Callable
+from functools import partial, reduce
 from typing import NamedTuple
 
 import jax
@@ -21,6 +22,10 @@ from jaxreplay.stage import stage
 SQRT_2PI = np.sqrt(2 * np.pi)
 _HALF_LOG2_E = float(1 / (2 * np.log(2)))
 _FARTHEST = 2.0**50  # σ, or half as many; what is farther is taken to be there
+
+# States computed at once. A step then needs a few MB on the way, not tens of them, which the C
+# library would give back to the system each time: new pages took most of a step's time.
+BLOCK = 2**15
 
 # Mills' ratio times x + c as a polynomial in (x − c) / (x + c), after Shepherd & Laframboise,
 # Math. Comp. 36 (1981): one division and no exponential, relative error 5e-8 (degree 10), 6e-15
@@ -75,9 +80,32 @@ def likelihood(records: Records, sigma: jax.Array, z: jax.Array, anchor: jax.Arr
     """
     z, seen = _seen(records, z)
     frame = _frame(*(value[:, None] for value in (sigma, z, anchor)))
-    zeta = _in_unit(records.nodes.reshape(records.n_sensors, -1), frame)
-    states = _states(_segments(_nodes(zeta, frame), frame), seen[:, None])
+
+    def states_of(nodes):
+        zeta = _in_unit(nodes, frame)
+        return _states(_segments(_nodes(zeta, frame), frame), seen[:, None])
+
+    states = _in_blocks(states_of, records.nodes.reshape(records.n_sensors, -1))
     return jax.tree.map(lambda x: x.reshape(records.n_records, -1)[:, :-2], states)
+
+
+def _in_blocks(states_of: Callable, nodes: jax.Array) -> Scaled:
+    """The states of all nodes `[n_s, n]`, computed for one block of them after the other."""
+    n_states = nodes.shape[1] - 2
+    n_blocks = -(-n_states // BLOCK)
+    if n_blocks == 1:
+        return states_of(nodes)
+    size = -(-n_states // n_blocks)
+
+    def fill(k, states):
+        start = jnp.minimum(k * size, n_states - size)  # the last block overlaps another
+        block = states_of(jax.lax.dynamic_slice_in_dim(nodes, start, size + 2, axis=1))
+        put = partial(jax.lax.dynamic_update_slice_in_dim, start_index=start, axis=0)
+        return jax.tree.map(put, states, block)
+
+    shapes = jax.eval_shape(states_of, nodes)
+    states = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shapes)
+    return jax.lax.fori_loop(0, n_blocks, fill, states)
 
 
 def anchor_point(records: Records, sigma: jax.Array, z: jax.Array, prior: Scaled) -> jax.Array:

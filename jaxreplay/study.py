@@ -140,9 +140,12 @@ def run_study(
                     duration[which] = so_far.steps * PlaneParams().control_period
                     progress(outcome, duration)
 
-                write_shard(folder, k, manifest, _run(config, records, runs, which, tell))
+                shard = _run(config, records, runs.of(which), which, tell)
+                write_shard(folder, k, manifest, shard)
         elif todo:
-            calls = {k: (config, records, runs, which, manifest) for k, which in todo.items()}
+            calls = {
+                k: (config, records, runs.of(which), which, manifest) for k, which in todo.items()
+            }
             with workers() as run_each:
                 for k, shard in run_each(_run_elsewhere, calls):
                     write_shard(folder, k, manifest, shard)
@@ -203,10 +206,9 @@ def _run(
     which: np.ndarray,
     progress: Callable[[Replays], None] = lambda so_far: None,
 ) -> xr.Dataset:
-    """Some runs of a study, which share a reading of a jump and the records."""
-    ours = runs.of(which)
+    """Some runs of a study that make a shard, and which they are."""
     audited = np.flatnonzero(which % AUDITED == 0)
-    replays = replays_of(config, records, ours, audited, progress)
+    replays = replays_of(config, records, runs, audited, progress)
     outcome = outcomes(replays)
     results = {
         "outcome": outcome,
@@ -216,14 +218,14 @@ def _run(
         "log_evidence": replays.log_evidence,
         "widened": replays.widened,
         "dropped": replays.dropped,
-        "total_variation": np.full(len(ours), np.nan),
-        "command_error": np.full(len(ours), np.nan),
+        "total_variation": np.full(len(runs), np.nan),
+        "command_error": np.full(len(runs), np.nan),
     }
     for k in audited:
         found = audit(
-            records_of(config, records, ours),
-            jax.tree.map(lambda x, k=k: x[k], setting(config, ours)[0]),
-            str(ours.values["jump"][0]),
+            records_of(config, records, runs),
+            jax.tree.map(lambda x, k=k: x[k], setting(config, runs)[0]),
+            str(runs.values["jump"][0]),
             np.array(replays.observations[k]),
         )
         results["total_variation"][k], results["command_error"][k] = found

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-import matplotlib.pyplot as plt
+import matplotlib
 import numpy as np
 from gymnasium.vector import VectorEnv, VectorWrapper
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -180,7 +180,9 @@ class View:
         self.period = PlaneParams().control_period
         self.path = np.array([pose.robot[0, :2] for pose in run.poses])
         n_steps, n_records, longest = belief.shape
-        with plt.rc_context({"font.size": 8, "axes.titlesize": 8, "axes.titlelocation": "left"}):
+        with matplotlib.rc_context(
+            {"font.size": 8, "axes.titlesize": 8, "axes.titlelocation": "left"}
+        ):
             self.figure = Figure(figsize=(11, 5.4), dpi=80, layout="constrained")
             FigureCanvasAgg(self.figure)
             grid = GridSpec(3, 2, figure=self.figure, height_ratios=(1.3, 1.3, 1))
@@ -261,7 +263,7 @@ class View:
 
 _SENSORS = (
     ("camera", {"color": "black"}),
-    *((f"proximeter {k}", {"color": plt.cm.viridis(k / 6)}) for k in range(6)),
+    *((f"proximeter {k}", {"color": matplotlib.colormaps["viridis"](k / 6)}) for k in range(6)),
 )
 _COMMANDS = (
     ("left track", {"color": "#1f4e79"}),

@@ -18,7 +18,8 @@ from filter_helpers import (
 from hypothesis import given
 from hypothesis import strategies as st
 
-from jaxreplay import build_filter
+from jaxreplay import Records, build_filter, reference
+from jaxreplay.observation import BLOCK, likelihood, log_density
 
 SIGMA = as_float32([0.7, 2.3])
 N, LONGEST = 4, 60  # one shape for most cases, so that JAX compiles once
@@ -256,3 +257,13 @@ def test_nothing_is_infinite_however_far_the_observation(away, sigma):
     far = case(sensors, held(([away, away], 2), ([3.0, 3.0], 2)), as_float32([sigma, sigma]))
     got, _ = run(build_filter(), far[:2], far.zs, params_of(far))
     assert all(np.isfinite(values).all() for values in got)
+
+
+def test_every_state_of_long_records_is_as_likely_as_in_the_reference():
+    length = BLOCK  # three records in four blocks, and no block ends where a record does
+    sensors = as_float32(np.sin(1e-3 * noise(3, 3, length, 2).cumsum(1)))
+    sigma, z = np.float32([0.1, 0.3]), np.float32([0.2, -0.1])
+    records = Records.from_sequences(list(sensors), [np.zeros((length, 1))] * 3)
+    got = likelihood(records, sigma, z, z).log() + log_density(z, z, sigma)
+    want = [reference.log_observation(z, record, sigma) for record in sensors]
+    np.testing.assert_allclose(got, want, rtol=0, atol=1e-4)

@@ -1,7 +1,7 @@
-import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 import xarray as xr
+from matplotlib.figure import Figure
 
 from jaxreplay.maps import draw
 
@@ -31,9 +31,9 @@ def dataset(sizes, seed=0):
 @pytest.fixture
 def drawn(monkeypatch):
     """The figures that are saved."""
-    figures, save = [], plt.Figure.savefig
+    figures, save = [], Figure.savefig
     monkeypatch.setattr(
-        plt.Figure, "savefig", lambda self, *a, **k: (figures.append(self), save(self, *a, **k))
+        Figure, "savefig", lambda self, *a, **k: (figures.append(self), save(self, *a, **k))
     )
     return figures
 

@@ -1,0 +1,169 @@
+"""Which of the paper's claims hold? Its numbers beside ours, from studies that were run.
+
+    python experiments/findings.py [--results results] [--large results/large]
+
+Reads the folders of `theta_i`, `interpolation`, `dithering` and `battery` in both, as
+`jaxreplay run experiments/NAME.toml --out FOLDER/NAME` leaves them, the large ones run at many
+positions. What was not run is left out. Rates come with Wilson's 95 % intervals; means with 95 %
+intervals by bootstrap over positions, at which runs are alike.
+"""
+
+import argparse
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+
+import jaxreplay as jr
+from jaxreplay.table import rate
+
+WIDE = (10**-2.05, 10**-0.45)  # the paper's range of good θ_I
+JUMPS = ("same_tau", "own_tau")
+
+
+def main():
+    """Print a block for each claim."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--results", type=Path, default=Path("results"))
+    parser.add_argument("--large", type=Path, default=Path("results/large"))
+    options = parser.parse_args()
+    for claim, paper, study, values in CLAIMS:
+        print(f"\n{claim}\n  {'the paper':40}{paper}")
+        for size, folder in (("its size", options.results), ("large", options.large)):
+            if not (folder / study / "study.json").exists():
+                print(f"  {size:40}not run: {folder / study}")
+                continue
+            for name, value in values(jr.open_study(folder / study)):
+                print(f"  {f'{size}, {name}':40}{value}")
+
+
+Values = Callable[[xr.Dataset], list[tuple[str, str]]]
+
+
+def by_jump(value: Callable[[xr.Dataset], str]) -> Values:
+    """Both readings of a jump."""
+    return lambda study: [(jump, value(study.sel(jump=jump))) for jump in JUMPS]
+
+
+def successes(runs: xr.Dataset) -> str:
+    """In percent, with interval."""
+    outcome = runs.outcome.values
+    return f"S {rate(np.sum(outcome == 'S'), np.sum(outcome != ''))} %"
+
+
+def within(low: float, high: float) -> Callable[[xr.Dataset], str]:
+    """Successes for θ_I in a range, each and together."""
+
+    def value(runs: xr.Dataset) -> str:
+        some = runs.sel(theta_i=[v for v in runs.theta_i.values if low <= v <= high])
+        each = [(some.sel(theta_i=v).outcome == "S").mean().item() for v in some.theta_i.values]
+        return f"{successes(some)}; by θ_I " + ", ".join(f"{100 * s:.0f}" for s in each)
+
+    return value
+
+
+def mean_by_theta_i(variable: str, unit: str) -> Callable[[xr.Dataset], str]:
+    """The mean of successful runs, over all θ_I, and how far its values by θ_I are apart."""
+
+    def value(runs: xr.Dataset) -> str:
+        won = runs[variable].where(runs.outcome == "S")
+        each = won.mean([d for d in won.dims if d != "theta_i"])
+        if not np.isfinite(each).any():
+            return "no success"
+        low, high = float(each.min()), float(each.max())
+        return f"{mean(runs, variable)} {unit}; by θ_I from {low:.1f} to {high:.1f}"
+
+    return value
+
+
+def mean(runs: xr.Dataset, variable: str) -> str:
+    """Of successful runs, with its interval by bootstrap over positions."""
+    won = runs[variable].where(runs.outcome == "S").transpose("position", ...)
+    cells = won.values.reshape(won.sizes["position"], -1)
+    cells = cells[np.isfinite(cells).any(axis=1)]
+    if len(cells) == 0:
+        return "–"
+    rng = np.random.default_rng(0)
+    again = [np.nanmean(cells[rng.integers(len(cells), size=len(cells))]) for _ in range(1000)]
+    low, high = np.quantile(again, [0.025, 0.975])
+    return f"{np.nanmean(cells):.1f} ({low:.1f}–{high:.1f})"
+
+
+def stalls(runs: xr.Dataset) -> str:
+    """The share of failures that are over three minutes, and what kind."""
+    outcome, stall = runs.outcome.values, runs.stall.values
+    failed = np.sum((outcome != "S") & (outcome != ""))
+    kinds = ", ".join(f"{kind} {np.sum(stall == kind)}" for kind in ("fixed", "cyclic", "slow"))
+    told = f"{rate(np.sum(outcome == 'Fs'), failed)} % of {failed} failures: {kinds}"
+    return told if failed else "no failure"
+
+
+def with_records(study: xr.Dataset) -> list[tuple[str, str]]:
+    """Success, error and duration by how many records, or which, are replayed."""
+    return [
+        (
+            f"θ_I {theta_i:.2g}, {told}",
+            f"{successes(cell)}, {mean(cell, 'alignment_error')} mm, {mean(cell, 'duration')} s",
+        )
+        for theta_i in study.theta_i.values
+        for told in study.records.values
+        for cell in [study.sel(theta_i=theta_i, records=told)]
+    ]
+
+
+def dithered(study: xr.Dataset) -> list[tuple[str, str]]:
+    """Success and stalls without and with dithering, by motor unit."""
+    return [
+        (
+            f"{100 * unit:g} cm/s, {'on' if dithering else 'off'}",
+            f"{successes(cell)}; Fs {np.sum(cell.outcome.values == 'Fs')}",
+        )
+        for unit in study.motor_unit.values
+        for dithering in (False, True)
+        for cell in [study.sel(motor_unit=unit, dithering=dithering)]
+    ]
+
+
+def charged(study: xr.Dataset) -> list[tuple[str, str]]:
+    """Success and duration by the battery's voltage."""
+    return [
+        (f"{100 * share:.0f} %", f"{successes(cell)}, {mean(cell, 'duration')} s")
+        for share in study.battery.values
+        for cell in [study.sel(battery=share)]
+    ]
+
+
+CLAIMS: tuple[tuple[str, str, str, Values], ...] = (
+    (
+        "S is about 90 % for θ_I in [10^-2, 10^-0.5]",
+        "about 90 %",
+        "theta_i",
+        by_jump(within(*WIDE)),
+    ),
+    ("S drops for smaller θ_I", "it drops", "theta_i", by_jump(within(0, WIDE[0]))),
+    (
+        "the alignment error is small and flat",
+        "about 2 mm",
+        "theta_i",
+        by_jump(mean_by_theta_i("alignment_error", "mm")),
+    ),
+    (
+        "the duration is relatively constant",
+        "about 100 s",
+        "theta_i",
+        by_jump(mean_by_theta_i("duration", "s")),
+    ),
+    ("most failures are stalls", "60 %", "theta_i", by_jump(stalls)),
+    (
+        "with 6 records it degrades gracefully (θ_I = 10^-0.5)",
+        "11 of 15, 2.1 mm, 99.5 s",
+        "interpolation",
+        with_records,
+    ),
+    ("dithering alleviates the stalls", "a guess", "dithering", dithered),
+    ("a full battery is best", "observed", "battery", charged),
+)
+
+if __name__ == "__main__":
+    main()
