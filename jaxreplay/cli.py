@@ -18,6 +18,7 @@ import xarray as xr
 from tqdm import tqdm
 
 from jaxreplay.config import ConfigError, StudyConfig, load_config
+from jaxreplay.filter import PREDICTIONS
 from jaxreplay.machine import cores, keep_compiled
 from jaxreplay.maps import draw
 from jaxreplay.runs import runs_of, shards_of
@@ -110,6 +111,30 @@ def main(arguments: Sequence[str] | None = None) -> int:
         help="a .gif, or a .png for a still of the end (default: run_RUN.gif beside the data)",
     )
     watch.set_defaults(action=_watch)
+    tune = commands.add_parser(
+        "tune",
+        help="choose parameters from records alone",
+        description="Leave each record out in turn, filter it with the others, and follow the "
+        "gradient of how well its commands are predicted. Prints and saves the parameters, and "
+        "draws the curve.",
+    )
+    tune.add_argument("records", type=Path, metavar="RECORDS", help="an .npz file of records")
+    tune.add_argument("--jump", choices=PREDICTIONS, default="same_tau", help="reading of a jump")
+    tune.add_argument(
+        "--score",
+        choices=("commands", "evidence"),
+        default="commands",
+        help="what to better: the error of predicted commands, or the log evidence of what was "
+        "observed, which means little where a sensor repeats values exactly",
+    )
+    tune.add_argument("--steps", type=_count, default=30, metavar="N", help="(default: 30)")
+    tune.add_argument(
+        "--out",
+        type=Path,
+        metavar="FILE",
+        help="a .toml; the curve is put beside it as .png (default: beside RECORDS)",
+    )
+    tune.set_defaults(action=_tune)
     inspect = commands.add_parser(
         "inspect",
         help="tell and draw what recordings hold",
@@ -295,6 +320,39 @@ def _chosen(run: str, total: int, dataset: xr.Dataset | None) -> int:
     if len(found) == 0:
         raise ConfigError(f"--run {run}: no run of this study ended so")
     return int(found[0])
+
+
+def _tune(options: argparse.Namespace) -> int:
+    from jaxreplay.records import Records
+    from jaxreplay.tuned import draw, text, tune, write
+    from jaxreplay.tuning import usual
+
+    path = options.out or options.records.with_name(f"{options.records.stem}_{options.jump}.toml")
+    if path.suffix != ".toml" or path.is_dir():
+        raise ConfigError(f"--out {path}: give a file whose name ends in .toml")
+    try:
+        records = Records.load(options.records)
+    except ValueError as error:
+        raise ConfigError(str(error)) from None
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with tqdm(unit="step", disable=None) as bar:
+
+        def progress(what: str, done: int, total: int):
+            bar.set_description(what, refresh=False)
+            bar.total = total
+            bar.update(done - bar.n)
+
+        try:
+            tuned = tune(
+                records, usual(records), options.jump, options.score, options.steps, progress
+            )
+        except ValueError as error:
+            raise ConfigError(f"{options.records}: {error}") from None
+    print(text(records, tuned))
+    write(records, tuned, options.records, path)
+    draw(records, tuned, path.with_suffix(".png"))
+    print(f"{path}: the parameters; {path.with_suffix('.png')}: the curve")
+    return DONE
 
 
 class _Progress:
