@@ -6,12 +6,15 @@ from pathlib import Path
 import matplotlib.image
 import numpy as np
 import pytest
+import xarray as xr
 
 from jaxreplay import tracker
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "experiments"))
 
+import findings
 import loop
+import pieces
 
 
 @pytest.mark.parametrize("laps", [(1,), (8,), (2, 5)])
@@ -73,3 +76,25 @@ def test_no_repeats_at_all_is_refused(monkeypatch, capsys):
     with pytest.raises(SystemExit, match="2"):
         loop.main()
     assert "--repeats must be at least 1" in capsys.readouterr().err
+
+
+def test_a_piece_follows_one_record_for_a_second_at_least():
+    record = np.repeat([3, 5, 3, 0, 3, 7], [20, 4, 10, 30, 16, 20])
+    found = pieces.pieces_of(record)
+    np.testing.assert_allclose(found, [[3, 0, 0.2], [0, 0.34, 0.64], [3, 0.64, 0.8], [7, 0.8, 1]])
+    np.testing.assert_allclose(pieces.switches_of(found), [0.34, 0.64, 0.8])
+    assert len(pieces.pieces_of(np.arange(9))) == 0
+
+
+def test_findings_are_of_the_runs_they_name():
+    dims = ("theta_i", "position")
+    outcome = np.array([["S", "Fs"], ["S", "S"], ["Fg", "S"]])
+    error = np.array([[1.0, 9.0], [2.0, 4.0], [9.0, 5.0]])
+    runs = xr.Dataset(
+        {"outcome": (dims, outcome), "alignment_error": (dims, error)},
+        {"theta_i": [0.1, 0.01, 0.001]},
+    )
+    assert findings.within(0.005, 1)(runs) == "S 75 (30–95) %; by θ_I 50, 100"
+    assert findings.mean(runs, "alignment_error").startswith("3.0 (")
+    told = findings.mean_by_theta_i("alignment_error", "mm")(runs)
+    assert told.endswith("mm; by θ_I from 1.0 to 5.0")
