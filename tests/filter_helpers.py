@@ -14,6 +14,10 @@ PRECISIONS = ("float32", "float64")
 COMPILE_QUICKLY = {"xla_backend_optimization_level": 0, "xla_llvm_disable_expensive_passes": True}
 
 both_readings = pytest.mark.parametrize("jump", READINGS)
+# For what takes long to compile: the reading that is told by the printed equation, if asked for.
+own_tau_first = pytest.mark.parametrize(
+    "jump", ["own_tau", pytest.param("same_tau", marks=pytest.mark.slow)]
+)
 both_precisions = pytest.mark.parametrize("precision", PRECISIONS)
 
 

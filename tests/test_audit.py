@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 from conftest import random_sequences
+from filter_helpers import own_tau_first
 
 from jaxreplay import Params, Records, reference, tracker
 from jaxreplay.audit import audit
@@ -18,7 +19,7 @@ def setting():
     return sensors, commands, seen
 
 
-@pytest.mark.parametrize("jump", ["same_tau", "own_tau"])
+@own_tau_first
 def test_windows_that_drop_nothing_that_matters_are_found_exact(setting, jump):
     sensors, commands, seen = setting
     records = Records.from_sequences(sensors, commands)

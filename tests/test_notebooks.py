@@ -8,7 +8,16 @@ FOLDER = Path(__file__).parents[1] / "notebooks"
 each_notebook = pytest.mark.parametrize("name", sorted(p.name for p in FOLDER.glob("*.ipynb")))
 
 
-@each_notebook
+QUICK = "1_the_filter.ipynb"
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(p.name, marks=[pytest.mark.slow] * (p.name != QUICK))
+        for p in sorted(FOLDER.glob("*.ipynb"))
+    ],
+)
 def test_it_runs_from_a_clean_kernel(name, tmp_path, monkeypatch):
     monkeypatch.setenv("IPYTHONDIR", str(tmp_path))  # neither a user's profile nor history
     notebook = nbformat.read(FOLDER / name, as_version=4)

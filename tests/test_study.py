@@ -5,7 +5,7 @@ import pytest
 import xarray as xr
 
 import jaxreplay as jr
-from jaxreplay import cli, factors
+from jaxreplay import cli, estimate, factors
 from jaxreplay import config as config_module
 from jaxreplay import runs as runs_module
 from jaxreplay import study as study_module
@@ -354,7 +354,8 @@ def test_what_set_says_takes_the_place_of_what_the_file_says(tmp_path):
     assert spaced.axes == {"sigma": (0.1, 1.0)}
 
 
-def test_a_dry_run_measures_what_a_study_takes_and_leaves_nothing(tmp_path, capsys):
+def test_a_dry_run_measures_what_a_study_takes_and_leaves_nothing(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(estimate, "SAMPLE", 2)
     config, out = write(tmp_path, SMALL + "motor_unit = [0.005, 0.01]\n"), tmp_path / "out"
     assert cli.main(["run", str(config), "--out", str(out), "--dry-run", "--slots", "3"]) == 0
     said = capsys.readouterr().err

@@ -4,7 +4,7 @@ import jax
 import numpy as np
 import pytest
 from conftest import as_float32
-from filter_helpers import both_readings, case, noise, params_of
+from filter_helpers import case, noise, own_tau_first, params_of
 
 from jaxreplay import Params, Records
 from jaxreplay.audit import audit
@@ -66,7 +66,7 @@ ORDERS = [[9], list(range(REPLAYS))[::-1]]
 NARROW = (128,)  # to compile less
 
 
-@both_readings
+@own_tau_first
 def test_what_becomes_of_a_replay_does_not_depend_on_those_beside_it(jump):
     together, widened = tracked(jump, list(range(REPLAYS)))
     assert widened > 0
@@ -75,7 +75,7 @@ def test_what_becomes_of_a_replay_does_not_depend_on_those_beside_it(jump):
         assert tracked(jump, order)[0] == [together[b] for b in order], order
 
 
-@both_readings
+@own_tau_first
 def test_other_values_compile_nothing_new(jump):
     records, params, zs, going, again = replays()
     everyone = list(range(REPLAYS))
@@ -137,7 +137,7 @@ def assert_windows_cost_nothing(case, jump):
     assert found.command <= 1e-4
 
 
-@both_readings
+@own_tau_first
 @pytest.mark.parametrize("name", CASES)
 def test_windows_cost_nothing(name, jump):
     assert_windows_cost_nothing(CASES[name](), jump)

@@ -109,7 +109,11 @@ def test_what_cannot_be_left_out_is_refused(records, n, i):
 
 @pytest.mark.parametrize(
     ("jump", "score"),
-    [("same_tau", "commands"), ("own_tau", "commands"), ("own_tau", "evidence")],
+    [
+        pytest.param("same_tau", "commands", marks=pytest.mark.slow),
+        ("own_tau", "commands"),
+        ("own_tau", "evidence"),
+    ],
 )
 def test_the_gradient_is_that_of_differences_of_the_reference(sequences, records, jump, score):
     """In logit θ_I, logit 2 θ_τ and log σ; of a record that is shorter than the arrays."""
