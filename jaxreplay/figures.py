@@ -43,7 +43,7 @@ def figure_3(dataset: xr.Dataset, path: str | Path) -> None:
     with matplotlib.rc_context({"font.size": 9, "axes.spines.top": False, "hatch.linewidth": 0.5}):
         figure = Figure(figsize=(8, 2.7 * n + 0.5), layout="constrained")
         rows = figure.subplots(n, 2, squeeze=False, sharex=True)
-        tops = [1.15 * _highest(dataset, name) for name, *_ in STYLES]
+        tops = [1.05 * _highest(dataset, name) for name, *_ in STYLES]
         for row, (values, runs) in zip(rows, panels, strict=True):
             _outcomes(row[0], runs, along)
             _error_and_duration(row[1], runs, along, tops)
@@ -56,9 +56,10 @@ def figure_3(dataset: xr.Dataset, path: str | Path) -> None:
 
 
 def _highest(dataset: xr.Dataset, name: str) -> float:
-    """The largest mean of successful runs in a cell."""
-    means = dataset[name].where(dataset.outcome == "S").mean(("position", "repeat"))
-    return float(np.nan_to_num(means.max().item(), nan=1))
+    """Where the highest bar of a standard error ends."""
+    cell = (runs for _, runs in cells(dataset, axes_of(dataset)))
+    won = [runs[name].values[runs.outcome.values == "S"] for runs in cell]
+    return max((v.mean() + np.nan_to_num(standard_error(v)) for v in won if len(v)), default=1)
 
 
 def title(values: dict) -> str:

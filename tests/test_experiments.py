@@ -55,6 +55,7 @@ def test_a_robot_is_held_or_carried_along_the_circle_once():
     assert angles[held[0]][0] == pytest.approx(3 * np.pi, abs=2 * usual[0])
 
 
+@pytest.mark.slow
 def test_the_laps_experiment_runs(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(tracker, "WINDOWS", ())  # to compile less
     monkeypatch.setattr(loop, "STEPS", 60)  # enough for one lap

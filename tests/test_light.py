@@ -39,6 +39,7 @@ def test_light_is_on_average_in_the_middle_and_differs_from_run_to_run():
     assert abs(light.var() - 1 / 12) < 0.02
 
 
+@pytest.mark.slow
 def test_a_run_in_changing_light_is_a_run_of_its_own():
     """The filter sees the light, and what comes of a run is told as of any other."""
     records, _ = record(PlaneParams(), DEMONSTRATED[[6, 8]], 3)

@@ -81,6 +81,7 @@ def test_the_loop_is_predict_command_act_observe_update(records, jump, monkeypat
     assert outcomes(result)[0] == "Fs"
 
 
+@pytest.mark.slow
 def test_windows_change_no_command_by_what_the_robot_could_tell(records):
     watched = Recorder(1, replace(LONG, time_limit=80.0))
     run(records, TESTED[:1], "own_tau", env=watched)

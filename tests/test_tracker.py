@@ -143,6 +143,7 @@ def test_windows_cost_nothing(name, jump):
     assert_windows_cost_nothing(CASES[name](), jump)
 
 
+@pytest.mark.slow
 def test_windows_widen_where_much_is_alike():
     case = CASES["stalled where much is alike"]()
     records = Records.from_sequences(case.sensors, case.commands)
