@@ -51,11 +51,11 @@ def main():
         ours = runs.of(which)
         replays = replays_of(config, records, ours, range(len(ours)))
         params, *_ = setting(config, ours)
+        theirs = records_of(config, records, ours)
         won[which] = outcomes(replays) == "S"
         for k, run in enumerate(which):
             its = jax.tree.map(lambda x, k=k: x[k], params)
             seen = np.array(replays.observations[k])
-            theirs = records_of(config, records, ours)
             pieces[run] = pieces_of(followed(theirs, its, options.jump, seen))
         print(f"{which[-1] + 1} of {len(runs)} runs", flush=True)
     theta_i = runs.values["theta_i"]

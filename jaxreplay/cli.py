@@ -27,6 +27,7 @@ from jaxreplay.study import (
     STALLS,
     config_of,
     demonstrations,
+    loaded,
     open_study,
     run_study,
     shard_size,
@@ -288,15 +289,11 @@ def _watch(options: argparse.Namespace) -> int:
 def _inspect(options: argparse.Namespace) -> int:
     from jaxreplay.inspection import inspect, report
     from jaxreplay.inspection_figure import FORMATS, inspection_figure
-    from jaxreplay.records import Records
 
     path = options.out or options.records.with_suffix(".png")
     if path.suffix[1:] not in FORMATS or path == options.records:
         raise ConfigError(f"--out {path}: let its name end in one of .{', .'.join(FORMATS)}")
-    try:
-        records = Records.load(options.records)
-    except ValueError as error:
-        raise ConfigError(str(error)) from None
+    records = loaded(options.records)
     path.parent.mkdir(parents=True, exist_ok=True)
     inspection = inspect(records)
     print(report(inspection))
@@ -323,17 +320,13 @@ def _chosen(run: str, total: int, dataset: xr.Dataset | None) -> int:
 
 
 def _tune(options: argparse.Namespace) -> int:
-    from jaxreplay.records import Records
     from jaxreplay.tuned import draw, text, tune, write
     from jaxreplay.tuning import usual
 
     path = options.out or options.records.with_name(f"{options.records.stem}_{options.jump}.toml")
     if path.suffix != ".toml" or path.is_dir():
         raise ConfigError(f"--out {path}: give a file whose name ends in .toml")
-    try:
-        records = Records.load(options.records)
-    except ValueError as error:
-        raise ConfigError(str(error)) from None
+    records = loaded(options.records)
     path.parent.mkdir(parents=True, exist_ok=True)
     with tqdm(unit="step", disable=None) as bar:
 

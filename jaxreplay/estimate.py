@@ -10,7 +10,7 @@ from jaxreplay.config import StudyConfig
 from jaxreplay.records import Records
 from jaxreplay.runs import Runs, runs_of, shards_of
 from jaxreplay.study import replays_of
-from jaxreplay.tracker import LANES, WINDOWS
+from jaxreplay.tracker import LANES, windows_for
 
 SAMPLE = 8  # runs
 WORLD = 500_000  # bytes of one world: its space and the noise drawn for it; measured
@@ -43,8 +43,7 @@ def estimate(config: StudyConfig, records: Records) -> Cost:
 def _memory(config: StudyConfig, records: Records, runs: Runs) -> int:
     """This process's, and what the slots add that were not filled."""
     held = psutil.Process().memory_info().rss
-    widths = [w for w in WINDOWS if w < records.longest] + [records.longest]
-    lane = 8 * records.n_records * sum(widths)
+    lane = 8 * records.n_records * sum(w or records.longest for w in windows_for(records))
     slots = min(config.slots, len(runs))
     lanes = -(-slots // LANES) * LANES
     return held + (lanes - LANES) * lane + max(slots - SAMPLE, 0) * WORLD

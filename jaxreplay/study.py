@@ -33,6 +33,18 @@ SHARD = SLOTS  # runs that are kept together once all are finished, or as many a
 AUDITED = 56  # one run in so many is filtered again without windows
 
 
+def loaded(path: Path) -> Records:
+    """The records in a file.
+
+    Raises:
+        ConfigError: it does not hold any.
+    """
+    try:
+        return Records.load(path)
+    except ValueError as error:
+        raise ConfigError(str(error)) from None
+
+
 def demonstrations(config: StudyConfig, folder: Path) -> Records:
     """The records to replay: the file the config names, or the study's own, made if absent.
 
@@ -51,10 +63,7 @@ def demonstrations(config: StudyConfig, folder: Path) -> Records:
         except RuntimeError as error:
             raise ConfigError(f"{error}; choose another seed than {config.seed}") from None
         records.save(path)
-    try:
-        records = Records.load(path)
-    except ValueError as error:
-        raise ConfigError(str(error)) from None
+    records = loaded(path)
     for held, wanted, what in (
         (records.sensor_names, SENSOR_NAMES, "sensors"),
         (records.command_names, COMMAND_NAMES, "commands"),
@@ -221,12 +230,10 @@ def _run(
         "command_error": np.full(len(runs), np.nan),
     }
     for k in audited:
-        found = audit(
-            records_of(config, records, runs),
-            jax.tree.map(lambda x, k=k: x[k], setting(config, runs)[0]),
-            str(runs.values["jump"][0]),
-            np.array(replays.observations[k]),
-        )
+        one = runs.of(np.array([k]))
+        params = jax.tree.map(lambda x: x[0], setting(config, one)[0])
+        theirs, jump = records_of(config, records, one), str(one.values["jump"][0])
+        found = audit(theirs, params, jump, np.array(replays.observations[k]))
         results["total_variation"][k], results["command_error"][k] = found
     return xr.Dataset({name: ("run", values) for name, values in results.items()})
 
@@ -260,7 +267,7 @@ def _config(manifest: dict) -> StudyConfig:
     held["axes"] = {name: tuple(values) for name, values in held["axes"].items()}
     unsaid = {name: None for name in FACTORS if name not in held["axes"]}
     held["fixed"] = unsaid | held["fixed"]
-    held |= {name: tuple(map(tuple, held[name])) for name in ("zip", "positions")}
+    held |= {n: tuple(map(tuple, held[n])) for n in ("zip", "positions") if n in held}
     path = held["demonstrations"]
     return StudyConfig(**held | {"demonstrations": Path(path) if path else None})
 

@@ -107,6 +107,12 @@ def _each(one: Callable, beliefs: Belief, which: jax.Array, n: jax.Array):
     return jax.lax.fori_loop(0, n, body, (beliefs, results))
 
 
+def windows_for(records: Records, windows: Sequence[int] | None = None) -> tuple[int | None, ...]:
+    """The windows, `WINDOWS` if None, that are narrower than the records, and None for all."""
+    widths = WINDOWS if windows is None else windows
+    return (*(w for w in widths if w < records.longest), None)
+
+
 class Tracker:
     """B replays that advance together, each belief in a window of its own width.
 
@@ -142,8 +148,7 @@ class Tracker:
             windows: widths to choose from, ascending, besides all moments; `WINDOWS` if None.
         """
         self.records, self.params, self.jump = records, params, jump
-        narrower = [w for w in (WINDOWS if windows is None else windows) if w < records.longest]
-        self.windows = (*narrower, None)
+        self.windows = windows_for(records, windows)
         n = len(params.theta_i)
         self.command = np.zeros((n, records.n_commands))
         self.window, self.widened, self._taken = np.zeros((3, n), int)

@@ -6,8 +6,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 import jax
-import matplotlib.pyplot as plt
+import matplotlib
 import numpy as np
+from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
 
 from jaxreplay.params import Params
@@ -140,8 +141,10 @@ def _number(value: np.ndarray) -> str:
 def draw(records: Records, tuned: Tuned, path: Path) -> None:
     """The curve: scores along the climb, and the way the parameters took."""
     steps = np.arange(len(tuned.path.theta_i))
-    with plt.rc_context({"font.size": 9, "axes.spines.top": False, "axes.spines.right": False}):
-        figure, axes = plt.subplots(2, 2, figsize=(9, 5.5), sharex=True, layout="constrained")
+    plain = {"font.size": 9, "axes.spines.top": False, "axes.spines.right": False}
+    with matplotlib.rc_context(plain):
+        figure = Figure(figsize=(9, 5.5), layout="constrained")
+        axes = figure.subplots(2, 2, sharex=True)
         (evidence, thetas), (error, sigmas) = axes
         evidence.plot(tuned.marks, tuned.scores.log_evidence, "o-", ms=3, color="black")
         evidence.set_ylabel("log evidence a time step")
@@ -151,7 +154,7 @@ def draw(records: Records, tuned: Tuned, path: Path) -> None:
         thetas.semilogy(steps, tuned.path.theta_tau, "--", color="0.4", label="$\\theta_\\tau$")
         thetas.set_ylabel("probability")
         shares = np.asarray(tuned.path.sigma) / sensor_span(records)
-        colours = plt.cm.viridis(np.linspace(0, 0.85, len(records.sensor_names)))
+        colours = matplotlib.colormaps["viridis"](np.linspace(0, 0.85, len(records.sensor_names)))
         for k, name in enumerate(records.sensor_names):
             style = _STYLES[k % len(_STYLES)]
             sigmas.semilogy(steps, shares[:, k], style, color=colours[k], label=f"$\\sigma$ {name}")
@@ -172,4 +175,3 @@ def draw(records: Records, tuned: Tuned, path: Path) -> None:
             fontsize=9,
         )
         figure.savefig(path, dpi=120)
-        plt.close(figure)

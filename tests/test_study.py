@@ -175,6 +175,9 @@ def test_a_study_made_before_a_factor_was_known_stays_what_it_was(study, monkeyp
         monkeypatch.setattr(module, "FACTORS", new)
     xr.testing.assert_identical(jr.open_study(folder), before)
     assert manifest_of(load_config(config), records, 56)["hash"] == held["hash"]
+    older = read_manifest(folder)
+    del older["config"]["zip"], older["config"]["positions"]  # nor were these
+    assert study_module._config(older).positions == load_config(config).positions
 
 
 def test_opening_what_is_no_study(tmp_path):
