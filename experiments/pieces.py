@@ -149,7 +149,7 @@ def figure(theta_i, won, pieces, records: Records, path: Path):
         left.set_xticks(range(len(values)), [write("theta_i", v) for v in values], rotation=90)
         left.set_xlabel("$\\theta_I$")
         left.set_ylabel("pieces a run (mean, 95 %)")
-        left.set_ylim(0, None)
+        left.set_ylim(0, 1.1 * max(map(len, pieces)))
         left.legend(frameon=False)
         when = [switches_of(p) for p in pieces]
         middle.hist(100 * np.concatenate(when), np.linspace(0, 100, 21), color="0.4")
@@ -158,11 +158,11 @@ def figure(theta_i, won, pieces, records: Records, path: Path):
         spread = spreads(records)
         at = np.linspace(0, 100, spread.shape[1])
         right.plot(at, spread[0], "k-", label=SENSOR_NAMES[0])
-        right.plot(at, spread[1:].mean(axis=0), "k--", label="proximeters, mean")
+        right.plot(at, spread[1:].mean(axis=0), "k--", label="proximeters' mean")
         right.set_xlabel("how much of it is over, %")
         right.set_ylabel("spread of demonstrations,\nshare of a sensor's range")
         right.set_ylim(0, None)
-        right.legend(frameon=False)
+        right.legend(frameon=False, loc="lower center", bbox_to_anchor=(0.5, 1), ncols=2)
         drawn.savefig(path, dpi=150)
         plt.close(drawn)
 
