@@ -52,6 +52,7 @@ def replay(
     options: Mapping[str, np.ndarray] | None = None,
     keep: Sequence[int] = (),
     progress: Callable[[Replays], None] = lambda so_far: None,
+    tracker: Callable[[Records, Params, str], Tracker] = Tracker,
 ) -> Replays:
     """Replay the records n times in the B slots of an environment.
 
@@ -70,6 +71,7 @@ def replay(
             slots, `[B, …]`. (Gymnasium's own SyncVectorEnv hands all of it to each world.)
         keep: replays whose observations are wanted.
         progress: called after every control step.
+        tracker: what filters the replays of a chunk; another one serves to compare.
 
     Raises:
         ValueError: environment and records do not fit each other, or its autoreset is on.
@@ -94,7 +96,7 @@ def replay(
     run, going = np.zeros(lanes, int), np.zeros(lanes, bool)
     z = np.zeros((lanes, records.n_sensors))
     gained, at_end = np.zeros(lanes), np.zeros(lanes)
-    chunks = [Tracker(records, _of(params, run[part]), jump) for part in parts]
+    chunks = [tracker(records, _of(params, run[part]), jump) for part in parts]
     waiting = 0
 
     def start(free: np.ndarray):

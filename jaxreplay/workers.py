@@ -1,23 +1,22 @@
 """Processes that run the shards of a study: Dask's, here or on other machines."""
 
+import ctypes
 import logging
 import os
 import signal
 from collections.abc import Callable, Iterator
 from concurrent.futures import CancelledError
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import partial
 from typing import Any
 
-import dask
 from distributed import Client, KilledWorker, LocalCluster, Worker, WorkerPlugin, as_completed
 
 from jaxreplay.machine import keep_compiled
 
 PATIENCE = 10  # seconds, for a scheduler to answer
-# glibc gives memory back that the next step asks for again, and Dask asks it to do so at once: a
-# third of a step's time went into that.
-_KEEP_MEMORY = {"MALLOC_TRIM_THRESHOLD_": 2**30, "MALLOC_MMAP_THRESHOLD_": 2**30}
+_TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3  # glibc's names for mallopt
+_KEPT = 2**25  # bytes, the most that glibc allows the second
 
 RunEach = Callable[[Callable, Any, dict[int, tuple]], Iterator[tuple[int, Any]]]
 
@@ -30,7 +29,6 @@ def local_workers(n: int) -> Iterator[RunEach]:
     with others.
     """
     with (
-        dask.config.set({"distributed.nanny.pre-spawn-environ": _KEEP_MEMORY}),
         LocalCluster(
             n_workers=n,
             threads_per_worker=1,
@@ -41,6 +39,7 @@ def local_workers(n: int) -> Iterator[RunEach]:
         Client(cluster) as client,
     ):
         client.register_plugin(_Settled())
+        client.register_plugin(_Pinned())
         yield partial(_run_each, client)
 
 
@@ -58,6 +57,7 @@ def workers_of(scheduler: str) -> Iterator[RunEach]:
     with client:
         if not client.scheduler_info()["workers"]:
             raise OSError(f"the Dask scheduler at {scheduler} has no workers; start one")
+        client.register_plugin(_Settled())
         yield partial(_run_each, client)
 
 
@@ -84,11 +84,26 @@ def _same(shared: Any) -> Any:
 
 
 class _Settled(WorkerPlugin):
-    """Before JAX starts in a worker."""
+    """What is done in every worker before its first shard."""
 
     def setup(self, worker: Worker):
-        signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the process that asked
         keep_compiled()
+        # Dask samples a worker's stack 100 times a second and keeps that for an hour: 0.5 GB.
+        for name in ("profile", "profile-cycle"):
+            if name in worker.periodic_callbacks:
+                worker.periodic_callbacks[name].stop()
+        # It also has glibc give memory back at once that the next step asks for again: a third of
+        # a step's time.
+        with suppress(AttributeError, OSError, TypeError):  # another C library
+            for threshold in (_TRIM_THRESHOLD, _MMAP_THRESHOLD):
+                ctypes.CDLL(None).mallopt(threshold, _KEPT)
+
+
+class _Pinned(WorkerPlugin):
+    """A worker of this machine's own: a core to itself, and Ctrl-C is for who asked for it."""
+
+    def setup(self, worker: Worker):
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
         if hasattr(os, "sched_setaffinity"):
             mine = sorted(os.sched_getaffinity(0))
             os.sched_setaffinity(0, {mine[(os.getppid() + worker.name) % len(mine)]})

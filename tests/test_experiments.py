@@ -12,9 +12,16 @@ from jaxreplay import tracker
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "experiments"))
 
+import causes
 import findings
 import loop
 import pieces
+import stalls
+from filter_helpers import both_readings, run_reference
+
+from jaxreplay import Params, Records
+from jaxreplay.plane.demonstrator import DEMONSTRATED, record
+from jaxreplay.plane.params import PlaneParams
 
 
 @pytest.mark.parametrize("laps", [(1,), (8,), (2, 5)])
@@ -99,3 +106,59 @@ def test_findings_are_of_the_runs_they_name():
     assert findings.mean(runs, "alignment_error").startswith("3.0 (")
     told = findings.mean_by_theta_i("alignment_error", "mm")(runs)
     assert told.endswith("mm; by θ_I from 1.0 to 5.0")
+
+
+def test_demonstrations_in_step_do_the_same_at_the_same_moment():
+    records, _ = record(PlaneParams(), DEMONSTRATED[[0, 9, 17]], seed=3)
+    before, after = records.sequences()[1], causes.in_step(records).sequences()[1]
+    assert {len(sent) for sent in after} == {sorted(map(len, before))[1]}
+
+    def changes(sent):  # when the gripper is first told to scan, to grasp, to hold and to lift
+        moments = [np.flatnonzero(np.diff(sent[:, k]) * way > 0)[0] for k, way in GRIPPER]
+        return PlaneParams().control_period * np.array(moments)
+
+    apart = np.ptp([changes(sent) for sent in before], axis=0)
+    assert apart.min() > 2  # s
+    assert np.ptp([changes(sent) for sent in after], axis=0).max() < 0.5
+    for was, sent in zip(before, after, strict=True):  # as far, though not at the same speed
+        np.testing.assert_allclose(was[:, :2].sum(0), sent[:, :2].sum(0), rtol=0.01, atol=0.02)
+
+
+GRIPPER = (3, 1), (3, -1), (4, 1), (2, 1)  # column of the commands, and up or down
+
+
+@both_readings
+def test_the_plain_filter_is_the_filter_until_it_underflows(jump):
+    rng = np.random.default_rng(5)
+    walk = rng.normal(size=(40, 2)).cumsum(axis=0)
+    sensors = [walk, walk[:30] + rng.normal(size=(30, 2))]
+    commands = [rng.normal(size=(n, 1)) for n in (40, 30)]
+    zs = walk[:30] + 0.3 * rng.normal(size=(30, 2))
+    sequences, values = (sensors, commands), (0.1, 0.05, np.array([1.0, 0.5]))
+    _, wanted, evidence, ended = run_reference(sequences, zs, *values, jump)
+    batch = Params(*(np.array([value]) for value in values))
+    plain = causes.Plain(Records.from_sequences(*sequences), batch, jump)
+    for z, u, e, p in zip(zs, wanted, evidence, ended, strict=True):
+        np.testing.assert_allclose(plain.command[0], u, atol=1e-3)
+        gained, at_end = plain.advance(z[None], np.array([True]))
+        assert gained[0] == pytest.approx(e, abs=1e-2)
+        assert at_end[0] == pytest.approx(p, abs=1e-3)
+    gained, _ = plain.advance(np.full((1, 2), 1e3), np.array([True]))
+    assert gained[0] == -np.inf  # and goes on
+    assert np.isfinite(plain.command).all()
+
+
+def test_a_stall_is_told_by_what_it_is():
+    p = np.zeros((600, 4))
+    p[:, 2], p[:, 0] = 0.9, 0.1
+    p[300:400] = p[300:400, ::-1]  # record 1 leads for 10 s
+    tau = np.full((600, 4), 5.0)
+    tau[:, 2] += np.linspace(0, 1, 600)
+    units = np.tile([0.4, -0.2], (600, 1))
+    units[:150, 0] = 2.0
+    stall = stalls.Stall("a run", p, tau, units)
+    (values,) = stalls.features([stall])
+    assert values[:4] == pytest.approx([3, 90, 2, 0.9], abs=1e-2)
+    assert values[4:] == pytest.approx([(150 * 2.2 + 450 * 0.6) / 1200, 75, 0], abs=1e-2)
+    other = stall._replace(units=-units)
+    assert stalls.typical([stall, other, stall]) is stall

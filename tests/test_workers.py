@@ -55,6 +55,18 @@ def test_workers_come_to_the_same_bytes_though_one_is_killed(config, tmp_path, m
     assert (open_study(tmp_path / "together").outcome != "").all()
 
 
+def test_a_worker_keeps_no_profile():
+    with local_workers(1):
+        told = Client.current().run(callbacks_of)
+    assert list(told.values()) == [{"profile": False, "profile-cycle": False}]
+
+
+def callbacks_of(dask_worker):
+    """Which of those that fill its memory are running."""
+    callbacks = dask_worker.periodic_callbacks
+    return {name: callbacks[name].is_running() for name in ("profile", "profile-cycle")}
+
+
 def test_a_scheduler_that_does_not_answer_is_told(config, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(workers, "PATIENCE", 0.1)
     told = ["run", str(config), "--out", str(tmp_path), "--scheduler", "tcp://127.0.0.1:1"]
