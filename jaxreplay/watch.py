@@ -231,9 +231,11 @@ class View:
         axes.set_ylim(-1.1, 1.1)
         axes.set_title(title)
         axes.set_xlabel("time, s", labelpad=1)
-        for column, (label, style) in enumerate(styles):
+        for curve, (label, style) in zip(
+            values.T, styles, strict=False
+        ):  # without a light, no line
             (line,) = axes.plot([], [], lw=1.2, label=label, **style)
-            self.lines.append((line, values[:, column]))
+            self.lines.append((line, curve))
         axes.legend(
             loc="center left", bbox_to_anchor=(1, 0.5), frameon=False, fontsize=7,
             labelspacing=0.3,
@@ -264,6 +266,7 @@ class View:
 _SENSORS = (
     ("camera", {"color": "black"}),
     *((f"proximeter {k}", {"color": matplotlib.colormaps["viridis"](k / 6)}) for k in range(6)),
+    ("light", {"color": "black", "ls": "-."}),
 )
 _COMMANDS = (
     ("left track", {"color": "#1f4e79"}),

@@ -9,7 +9,7 @@ from jaxreplay import Params, Records, cli, reference
 from jaxreplay.plane.demonstrator import DEMONSTRATED, facing, record
 from jaxreplay.plane.env import PlaneVectorEnv
 from jaxreplay.plane.params import SENSOR_RANGES, PlaneParams
-from jaxreplay.watch import animate, beliefs, frames, watched
+from jaxreplay.watch import View, animate, beliefs, frames, watched
 
 SIGMA = 0.1 * np.array(SENSOR_RANGES)
 
@@ -70,6 +70,22 @@ def test_an_animation_and_a_still(run, tmp_path):
         last = np.asarray(gif.convert("RGB"), int)
         assert np.abs(last - first).max() > 100
         np.testing.assert_allclose(last, np.asarray(still.convert("RGB"), int), atol=40)
+
+
+@pytest.mark.parametrize("lit", [False, True])
+def test_all_sensors_are_drawn_and_the_light_where_there_is_one(run, lit):
+    records, params, seen = run
+    belief = beliefs(records, jax.tree.map(lambda x: x[0], params), "own_tau", seen.observations)
+    light = np.full((len(seen.observations), int(lit)), 0.7)
+    view = View(
+        seen._replace(observations=np.hstack([seen.observations, light])), belief, records, ""
+    )
+    view.show(5)
+    drawn = {line.get_label(): line.get_ydata() for line, _ in view.lines}
+    np.testing.assert_array_equal(drawn["camera"], seen.observations[:6, 0])
+    np.testing.assert_array_equal(drawn["proximeter 5"], seen.observations[:6, 6])
+    assert ("light" in drawn) == lit
+    assert not lit or np.all(drawn["light"] == 0.7)
 
 
 @pytest.mark.parametrize(
