@@ -1,14 +1,14 @@
 """How many records is a run pieced together from, and when in the run does it switch?
 
-    python experiments/pieces.py [--repeats 3] [--jump own_tau] [--out results/pieces]
+    python experiments/pieces.py [--set KEY=VALUE]… [--out results/pieces]
 
 The paper believes that a large θ_I does best "because our training runs essentially differ at the
 beginning": a run can pick the record that fits, and jump on to others later. So the runs of its
-Figure 3 are done again, and at each step the record followed is the likeliest one, p(I_t | Z_1:t).
-A piece is a stretch of at least a second that follows one record. The table tells, for each θ_I,
-how many pieces a run has and how many records they come from, and how the switches between pieces
-are spread over the run; the figure adds how far demonstrations differ, by how much of them is over.
-Intervals are 95 %, by bootstrap over runs.
+Figure 3 are done again, under `own_tau` unless another reading is set; the record followed at each
+step is the likeliest one, p(I_t | Z_1:t). A piece is a stretch of at least a second that follows
+one record. The table tells, for each θ_I, how many pieces a run has and how many records they come
+from, and how the switches between pieces are spread over the run; the figure adds how far
+demonstrations differ, by how much of them is over. Intervals are 95 %, by bootstrap over runs.
 """
 
 import argparse
@@ -38,13 +38,12 @@ THIRDS = 3
 def main():
     """Run, tell and draw."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--repeats", type=int, default=3, help="of each position and value of θ_I")
-    parser.add_argument("--jump", choices=("same_tau", "own_tau"), default="own_tau")
+    parser.add_argument("--set", action="append", default=[], help="as `jaxreplay run` takes it")
     parser.add_argument("--out", type=Path, default=Path("results/pieces"))
     options = parser.parse_args()
     keep_compiled()
     options.out.mkdir(parents=True, exist_ok=True)
-    config = load_config(STUDY, [f"jump={options.jump}", f"repeats={options.repeats}"])
+    config = load_config(STUDY, ["jump=own_tau", *options.set])
     records, runs = demonstrations(config, options.out), runs_of(config)
     won, pieces = np.zeros(len(runs), bool), [np.zeros((0, 3))] * len(runs)
     for which in shards_of(runs, 56):
@@ -56,7 +55,7 @@ def main():
         for k, run in enumerate(which):
             its = jax.tree.map(lambda x, k=k: x[k], params)
             seen = np.array(replays.observations[k])
-            pieces[run] = pieces_of(followed(theirs, its, options.jump, seen))
+            pieces[run] = pieces_of(followed(theirs, its, config.fixed["jump"], seen))
         print(f"{which[-1] + 1} of {len(runs)} runs", flush=True)
     theta_i = runs.values["theta_i"]
     print(table(theta_i, won, pieces))

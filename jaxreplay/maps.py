@@ -83,8 +83,10 @@ def position_map(dataset: xr.Dataset, path: str | Path) -> None:
         )
         for x, y, value in zip(left, ahead, rate, strict=True):
             _number(ax, x, y, value)
-        area = Rectangle(low[::-1], *(high - low)[::-1], fill=False, ls="--", label="demonstrated")
-        ax.add_patch(area)
+        size = (high - low)[::-1]
+        ax.add_patch(  # under the numbers
+            Rectangle(low[::-1], *size, fill=False, ls="--", label="demonstrated", zorder=0)
+        )
         ax.invert_xaxis()  # the robot's left is on the left
         ax.set_title(title(values), fontsize=8)
     axes[0].legend(loc="lower left", bbox_to_anchor=(0, 1), frameon=False, borderpad=0)
