@@ -18,8 +18,9 @@ import argparse
 import json
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
+from functools import partial, reduce
 from itertools import product
+from operator import mul
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -27,6 +28,7 @@ import jax
 import jax.numpy as jnp
 import matplotlib.pyplot as plt
 import numpy as np
+from jax.scipy.special import erf
 from jax.scipy.stats import norm
 
 from jaxreplay import Params, Records
@@ -221,9 +223,10 @@ def _plain_predict(records: Records, params: Params, belief: jax.Array, jump: st
 def _plain_update(records: Records, params: Params, belief: jax.Array, z: jax.Array):
     sigma = params.sigma[:, None, None]
     nodes = (records.nodes - z[:, None, None]) / sigma
-    a, b = nodes[..., :-1], nodes[..., 1:]
-    mean = jnp.where(a == b, norm.pdf(a), (norm.cdf(b) - norm.cdf(a)) / (b - a)) / sigma
-    joint = belief * jnp.prod((mean[..., :-1] + mean[..., 1:]) / 2, axis=0)
+    cdf, point = jax.lax.optimization_barrier(((1 + erf(nodes / 2**0.5)) / 2, norm.pdf(nodes)))
+    length = jnp.diff(nodes)
+    mean = jnp.where(length == 0, point[..., 1:], jnp.diff(cdf) / length) / sigma
+    joint = reduce(mul, (mean[..., :-1] + mean[..., 1:]) / 2, belief)
     evidence = joint.sum()
     belief = jnp.where(evidence > 0, joint / evidence, belief)
     at_end = jnp.arange(belief.shape[1]) >= records.lengths[:, None] - LAST_STEPS
