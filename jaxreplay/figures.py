@@ -16,7 +16,7 @@ from jaxreplay.table import axes_of, cells, short, standard_error, units, wilson
 COLOURS = {"S": "#cfe8cf", "Fs": "#f2b872", "Fg": "#c0504d", "Fb": "#3b3b58"}
 HATCHES = {"S": "", "Fs": "//", "Fg": "..", "Fb": "xx"}
 MEANINGS = {"S": "success", "Fs": "over 3 minutes", "Fg": "no grasp", "Fb": "left the area"}
-SYMBOLS = {"theta_i": "$\\theta_I$, ", "theta_tau": "$\\theta_\\tau$, "}
+SYMBOLS = {"theta_i": "$\\theta_I$", "theta_tau": "$\\theta_\\tau$"}
 READINGS = {
     "same_tau": "a jump keeps the moment τ (same_tau)",
     "own_tau": "a jump lands where the record stands (own_tau)",
@@ -30,13 +30,16 @@ STYLES = (  # variable, label, marker, colour, its face, and how far beside the 
 def figure_3(dataset: xr.Dataset, path: str | Path) -> None:
     """Figure 3 of the paper over θ_I, or another axis; saved as the path's suffix says.
 
-    That is the numeric axis with most values, or any if there is none. A row for each combination
-    of the others.
+    θ_I if it has more than two values, else the numeric axis with most, or any if there is none. A
+    row for each combination of the others.
     """
     if not axes_of(dataset):
         dataset = dataset.expand_dims(theta_i=[config_of(dataset).fixed["theta_i"]])
     axes = axes_of(dataset)
-    along = max(axes, key=lambda a: (a == "theta_i", FACTORS[a].numeric, dataset.sizes[a]))
+    along = max(
+        axes,
+        key=lambda a: (dataset.sizes[a] > 2, a == "theta_i", FACTORS[a].numeric, dataset.sizes[a]),
+    )
     others = [a for a in axes if a != along]
     panels = list(cells(dataset, others))
     n = len(panels)
@@ -65,14 +68,16 @@ def _highest(dataset: xr.Dataset, name: str) -> float:
 def title(values: dict) -> str:
     """Factors' values, for a panel."""
     return ", ".join(
-        READINGS[value] if axis == "jump" else f"{FACTORS[axis].symbol} {short(value)}{units(axis)}"
+        READINGS[value]
+        if axis == "jump"
+        else f"{SYMBOLS.get(axis, FACTORS[axis].symbol)} {write(axis, value)}{units(axis)}"
         for axis, value in values.items()
     )
 
 
 def label(axis: str) -> str:
     """Of an axis: what varies along it, and its unit."""
-    symbol = SYMBOLS.get(axis, "")
+    symbol = f"{SYMBOLS[axis]}, " if axis in SYMBOLS else ""
     unit = units(axis) and f",{units(axis)}"
     return f"{symbol}{FACTORS[axis].long_name}{unit}"
 

@@ -90,8 +90,8 @@ class _Settled(WorkerPlugin):
         keep_compiled()
         # Dask samples a worker's stack 100 times a second and keeps that for an hour: 0.5 GB.
         for name in ("profile", "profile-cycle"):
-            if name in worker.periodic_callbacks:
-                worker.periodic_callbacks[name].stop()
+            if name in worker.periodic_callbacks:  # taken out, as they may not be started yet
+                worker.periodic_callbacks.pop(name).stop()
         # It also has glibc give memory back at once that the next step asks for again: a third of
         # a step's time.
         with suppress(AttributeError, OSError, TypeError):  # another C library

@@ -1,5 +1,6 @@
 import os
 import signal
+import time
 from functools import partial
 
 import pytest
@@ -57,14 +58,16 @@ def test_workers_come_to_the_same_bytes_though_one_is_killed(config, tmp_path, m
 
 def test_a_worker_keeps_no_profile():
     with local_workers(1):
-        told = Client.current().run(callbacks_of)
-    assert list(told.values()) == [{"profile": False, "profile-cycle": False}]
+        client = Client.current()
+        client.submit(time.sleep, 1).result()
+        samples = client.run(profile_of)
+    assert list(samples.values()) == [0]
 
 
-def callbacks_of(dask_worker):
-    """Which of those that fill its memory are running."""
-    callbacks = dask_worker.periodic_callbacks
-    return {name: callbacks[name].is_running() for name in ("profile", "profile-cycle")}
+def profile_of(dask_worker):
+    """How often its stack was sampled: it would be 100 times a second."""
+    history = [profile for _, profile in dask_worker.profile_history]
+    return sum(profile["count"] for profile in [*history, dask_worker.profile_recent])
 
 
 def test_a_scheduler_that_does_not_answer_is_told(config, tmp_path, monkeypatch, capsys):

@@ -1,12 +1,12 @@
 """What a study costs: wall time, simulated seconds a second, memory, and where the time goes.
 
-    python experiments/benchmarks/study.py [--rounds 3] [--jump own_tau] [--memory] [--json FILE]
+    python experiments/benchmarks/study.py [--rounds 3] [--jump own_tau] [--large] [--json FILE]
 
 The first table is the paper's Figure 3, one reading, 105 runs, as the command line runs it: with
 an empty cache of compiled code, in one process, and with one and two workers, by turns. Process
 start, imports and drawing are counted, recording the demonstrations is not. The second says where
-the time of one core goes in one process. `--memory` runs grids of 2,000 and 10,000 runs, to see if
-memory grows with the grid; they are short, as they replay the first 15 s of the demonstrations.
+the time of one core goes in one process. `--large` runs grids of 2,000 and 10,000 runs, to see what
+workers gain, and if memory grows; they replay the first 15 s of the demonstrations, to be short.
 """
 
 import argparse
@@ -49,7 +49,7 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--jump", default="own_tau", choices=("same_tau", "own_tau"))
-    parser.add_argument("--memory", action="store_true")
+    parser.add_argument("--large", action="store_true")
     parser.add_argument("--json", type=Path, metavar="FILE")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
@@ -60,8 +60,8 @@ def main():
         given = ["--set", f"jump={options.jump}", "--set", f"demonstrations={file}"]
         found = {"figure 3": figure_3([*given, "--set", PAPER], folder, options.rounds)}
         found["parts"] = parts(config, records)
-        if options.memory:
-            found["memory"] = memory(records, folder)
+        if options.large:
+            found["large"] = large(records, folder)
     if options.json:
         options.json.write_text(json.dumps(found, indent=1))
 
@@ -168,21 +168,21 @@ def timed(spent: dict[str, float], name: str, owner, attribute: str):
     setattr(owner, attribute, function)
 
 
-def memory(records: jr.Records, folder: Path) -> dict:
+def large(records: jr.Records, folder: Path) -> dict:
     """Grids of two sizes, alike in all else."""
     told, file = {}, folder / "short.npz"
     sensors, commands = ([rows[:SHORT] for rows in each] for each in records.sequences())
     names = records.sensor_names, records.command_names
     jr.Records.from_sequences(sensors, commands, *names, records.period).save(file)
     grid = ["axis.sigma.logspace=[-1.5, -0.5, 20]", "axis.theta_i.logspace=[-0.5, -3.5, 10]"]
-    print(f"\n{'2 workers, 15 s':22}{'wall, s':>9}{'simulated s/s':>15}{'peak, GiB':>11}")
-    for repeats in (2, 10):
+    print(f"\n{'runs of 15 s':22}{'wall, s':>9}{'simulated s/s':>15}{'peak, GiB':>11}")
+    for workers, repeats in ((1, 2), (2, 2), (2, 10)):
         changes = [*grid, "jump=own_tau", f"demonstrations={file}", f"repeats={repeats}"]
         sets = [word for change in changes for word in ("--set", change)]
-        runs = 1000 * repeats
-        wall, rate, peak = run([*sets, "--workers", "2"], folder / f"{runs} runs", None)
-        told[runs] = {"wall": wall, "rate": rate, "peak": peak}
-        print(f"{f'{runs:,} runs':22}{wall:9.1f}{rate:15.0f}{peak:11.2f}", flush=True)
+        name = f"{1000 * repeats:,}, {workers} worker{'s' * (workers > 1)}"
+        wall, rate, peak = run([*sets, "--workers", str(workers)], folder / name, None)
+        told[name] = {"wall": wall, "rate": rate, "peak": peak}
+        print(f"{name:22}{wall:9.1f}{rate:15.0f}{peak:11.2f}", flush=True)
     return told
 
 
