@@ -1,5 +1,7 @@
 """That the scripts in experiments/ run, at a size that says nothing."""
 
+import shutil
+import subprocess
 import sys
 from pathlib import Path
 
@@ -8,7 +10,11 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from jaxreplay import tracker
+from jaxreplay import Params, Records, tracker
+from jaxreplay.config import load_config
+from jaxreplay.plane.demonstrator import DEMONSTRATED, record
+from jaxreplay.plane.params import PlaneParams
+from jaxreplay.runs import runs_of
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "experiments"))
 
@@ -18,10 +24,6 @@ import loop
 import pieces
 import stalls
 from filter_helpers import both_readings, run_reference
-
-from jaxreplay import Params, Records
-from jaxreplay.plane.demonstrator import DEMONSTRATED, record
-from jaxreplay.plane.params import PlaneParams
 
 
 @pytest.mark.parametrize("laps", [(1,), (8,), (2, 5)])
@@ -162,3 +164,43 @@ def test_a_stall_is_told_by_what_it_is():
     assert values[4:] == pytest.approx([(150 * 2.2 + 450 * 0.6) / 1200, 75, 0], abs=1e-2)
     other = stall._replace(units=-units)
     assert stalls.typical([stall, other, stall]) is stall
+
+
+def test_the_large_sizes_are_told_of_in_one_file(tmp_path):
+    folder = Path(stalls.__file__).parent
+    fake = tmp_path / ".venv" / "bin" / "jaxreplay"
+    fake.parent.mkdir(parents=True)
+    fake.write_text('#!/bin/sh\nprintf "%s\\n" "$*"\n')
+    fake.chmod(0o755)
+    (tmp_path / "experiments").mkdir()
+    script = shutil.copy(folder / "large.sh", tmp_path / "experiments")
+    told = subprocess.run(["sh", script, "--workers", "2"], capture_output=True, text=True)
+    runs = {}
+    for line in told.stdout.splitlines():
+        run, file, _, out, *others = line.split()
+        assert run == "run"
+        assert others[-2:] == ["--workers", "2"]
+        name = Path(file).stem
+        assert out == f"results/large/{name}"
+        runs[name] = len(runs_of(load_config(folder / f"{name}.toml", others[1:-2:2])))
+    assert runs == LARGE
+
+
+LARGE = {
+    "theta_i": 2 * 10 * 300, "interpolation": 2 * 8 * 300, "dithering": 2 * 2 * 3 * 150,
+    "battery": 2 * 3 * 150, "light": 2 * 2 * 150, "grid": 7 * 7 * 7 * 30, "sigma": 7 * 7 * 30,
+    "noise": 4 * 7 * 30, "outside": 10 * 13 * 3,
+}  # fmt: skip
+
+
+def test_findings_tell_where_a_cube_stood():
+    cubes = np.array([[0.3, 0.05], [0.45, 0.0], [0.2, 0.2], [0.3, -0.15]])
+    runs = xr.Dataset(
+        {"outcome": ("position", np.array(["S", "S", "Fb", "Fg"]))},
+        {"cube_x": ("position", cubes[:, 0]), "cube_y": ("position", cubes[:, 1])},
+    )
+    assert findings.around(runs) == [
+        ("demonstrated area, 1 positions", f"S {findings.rate(1, 1)} %"),
+        ("outside, in sight, 2 positions", f"S {findings.rate(1, 2)} %"),
+        ("outside, out of sight, 1 positions", f"S {findings.rate(0, 1)} %"),
+    ]
