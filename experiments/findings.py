@@ -31,13 +31,13 @@ def main():
     parser.add_argument("--large", type=Path, default=Path("results/large"))
     options = parser.parse_args()
     for claim, paper, study, values in CLAIMS:
-        print(f"\n{claim}\n  {'the paper':40}{paper}")
+        print(f"\n{claim}\n  {'the paper':48}{paper}")
         for size, folder in (("its size", options.results), ("large", options.large)):
             if not (folder / study / "study.json").exists():
-                print(f"  {size:40}not run: {folder / study}")
+                print(f"  {size:48}not run: {folder / study}")
                 continue
             for name, value in values(jr.open_study(folder / study)):
-                print(f"  {f'{size}, {name}':40}{value}")
+                print(f"  {f'{size}, {name}':48}{value}")
 
 
 Values = Callable[[xr.Dataset], list[tuple[str, str]]]
