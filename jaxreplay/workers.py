@@ -15,8 +15,9 @@ from distributed import Client, KilledWorker, LocalCluster, Worker, WorkerPlugin
 from jaxreplay.machine import keep_compiled
 
 PATIENCE = 10  # seconds, for a scheduler to answer
-_TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3  # glibc's names for mallopt
-_KEPT = 2**25  # bytes, the most that glibc allows the second
+# For glibc's mallopt. Dask has it give memory back at once that the next step asks for again, which
+# is a third of a step's time; and each of a run's threads keeps an arena, some 0.3 GB in all.
+_MALLOC = {"M_TRIM_THRESHOLD": (-1, 2**25), "M_MMAP_THRESHOLD": (-3, 2**25), "M_ARENA_MAX": (-8, 2)}
 
 RunEach = Callable[[Callable, Any, dict[int, tuple]], Iterator[tuple[int, Any]]]
 
@@ -92,11 +93,9 @@ class _Settled(WorkerPlugin):
         for name in ("profile", "profile-cycle"):
             if name in worker.periodic_callbacks:  # taken out, as they may not be started yet
                 worker.periodic_callbacks.pop(name).stop()
-        # It also has glibc give memory back at once that the next step asks for again: a third of
-        # a step's time.
         with suppress(AttributeError, OSError, TypeError):  # another C library
-            for threshold in (_TRIM_THRESHOLD, _MMAP_THRESHOLD):
-                ctypes.CDLL(None).mallopt(threshold, _KEPT)
+            for option, value in _MALLOC.values():
+                ctypes.CDLL(None).mallopt(option, value)
 
 
 class _Pinned(WorkerPlugin):
