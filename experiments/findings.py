@@ -18,6 +18,7 @@ import xarray as xr
 import jaxreplay as jr
 from jaxreplay.plane.demonstrator import DEMONSTRATED
 from jaxreplay.plane.params import PlaneParams
+from jaxreplay.study import STALLS
 from jaxreplay.table import rate
 
 WIDE = (10**-2.05, 10**-0.45)  # the paper's range of good θ_I
@@ -27,8 +28,10 @@ JUMPS = ("same_tau", "own_tau")
 def main():
     """Print a block for each claim."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--results", type=Path, default=Path("results"))
-    parser.add_argument("--large", type=Path, default=Path("results/large"))
+    parser.add_argument("--results", type=Path, default=Path("results"), help="of its size")
+    parser.add_argument(
+        "--large", type=Path, default=Path("results/large"), help="of the large size"
+    )
     options = parser.parse_args()
     for claim, paper, study, values in CLAIMS:
         print(f"\n{claim}\n  {'the paper':48}{paper}")
@@ -93,12 +96,12 @@ def mean(runs: xr.Dataset, variable: str) -> str:
 
 
 def stalls(runs: xr.Dataset) -> str:
-    """The share of failures that are over three minutes, and what kind."""
+    """The share of failures that are stalls, the robot fixed or in a cycle; and what kind."""
     outcome, stall = runs.outcome.values, runs.stall.values
     failed = np.sum((outcome != "S") & (outcome != ""))
-    kinds = ", ".join(f"{kind} {np.sum(stall == kind)}" for kind in ("fixed", "cyclic", "slow"))
-    told = f"{rate(np.sum(outcome == 'Fs'), failed)} % of {failed} failures: {kinds}"
-    return told if failed else "no failure"
+    fixed, cyclic, slow = (np.sum(stall == kind) for kind in STALLS)
+    told = f"{rate(fixed + cyclic, failed)} % of {failed} failures: fixed {fixed}, cyclic {cyclic}"
+    return f"{told}; slow {slow}" if failed else "no failure"
 
 
 def with_records(study: xr.Dataset) -> list[tuple[str, str]]:
@@ -119,7 +122,7 @@ def dithered(study: xr.Dataset) -> list[tuple[str, str]]:
     return [
         (
             f"{100 * unit:g} cm/s, {'on' if dithering else 'off'}",
-            f"{successes(cell)}; Fs {np.sum(cell.outcome.values == 'Fs')}",
+            f"{successes(cell)}; {stalls(cell)}",
         )
         for unit in study.motor_unit.values
         for dithering in (False, True)

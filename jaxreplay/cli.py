@@ -73,7 +73,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         default=[],
         dest="changes",
         metavar="KEY=VALUE",
-        help="instead of what FILE says, e.g. axis.theta_i.logspace=[-1,-3,5] or jump=own_tau",
+        help="instead of what FILE says, e.g. 'axis.theta_i.logspace=[-1,-3,5]' or jump=own_tau; a "
+        "single value takes the place of FILE's axis",
     )
     run.add_argument(
         "--slots", type=_count, metavar="N", help="runs that advance together, as --set slots=N"

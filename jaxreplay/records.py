@@ -21,7 +21,7 @@ _BROKEN_ZIP = (zipfile.BadZipFile, zlib.error)
     data_fields=["nodes", "commands", "lengths", "span"],
     meta_fields=["sensor_names", "command_names", "period", "offset"],
 )
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Records:
     """N records of unequal lengths L_i, as arrays padded to L ≥ max_i L_i.
 
@@ -121,6 +121,13 @@ class Records:
             command_names=_names(command_names, commands[0].shape[1], "u", "command"),
             period=None if period is None else float(period),
             offset=tuple(map(float, offset)),
+        )
+
+    def __repr__(self) -> str:
+        """What it holds, without the arrays."""
+        return (
+            f"Records of {self.n_records} demonstrations of up to {self.longest} samples; "
+            f"sensors {', '.join(self.sensor_names)}; commands {', '.join(self.command_names)}"
         )
 
     @property
