@@ -275,3 +275,10 @@ def test_records_pass_through_jit(records):
     doubled = jax.jit(lambda r: jax.tree.map(lambda leaf: 2 * leaf, r))(records)
     assert_same(doubled, jax.tree.map(lambda leaf: 2 * leaf, records))
     assert doubled.longest == records.longest
+
+
+def test_it_tells_what_it_holds_in_a_line():
+    records = Records.from_sequences(*random_sequences())
+    assert repr(records) == (
+        "Records of 4 demonstrations of up to 200 samples; sensors z0, z1; commands u0, u1"
+    )
