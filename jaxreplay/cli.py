@@ -212,7 +212,7 @@ def _cost(config: StudyConfig, folder: Path, runs: int, workers: int | None) -> 
     n = min(workers or cores(), cores())
     minutes = runs * cost.seconds / n / 60
     return (
-        f"about {minutes:.0f} min on {n} core{'s' * (n > 1)} ({cost.seconds:.2f} s a run on one), "
+        f"about {minutes:.1f} min on {n} core{'s' * (n > 1)} ({cost.seconds:.2f} s a run on one), "
         f"{cost.memory / 2**30:.1f} GiB{' a worker' if workers else ''}"
     )
 
