@@ -49,7 +49,7 @@ def workers_of(scheduler: str) -> Iterator[RunEach]:
     """The workers of a running Dask scheduler, such as `"tcp://10.0.0.1:8786"`.
 
     Raises:
-        OSError: no scheduler answers there, or it has no workers.
+        OSError: no scheduler answers there, it has no workers, or one cannot be set up.
     """
     try:
         client = Client(scheduler, timeout=PATIENCE)
@@ -58,7 +58,12 @@ def workers_of(scheduler: str) -> Iterator[RunEach]:
     with client:
         if not client.scheduler_info()["workers"]:
             raise OSError(f"the Dask scheduler at {scheduler} has no workers; start one")
-        client.register_plugin(_Settled())
+        try:
+            client.register_plugin(_Settled())
+        except Exception as error:  # of whatever kind a worker's is told as
+            raise OSError(
+                f"a worker of {scheduler} cannot be set up: {error}; is jaxreplay installed there?"
+            ) from None
         yield partial(_run_each, client)
 
 

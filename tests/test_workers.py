@@ -1,11 +1,13 @@
 import os
 import signal
+import subprocess
+import sys
 import time
 from functools import partial
 
 import pytest
 import xarray as xr
-from distributed import Client
+from distributed import Client, LocalCluster
 
 from jaxreplay import cli, open_study, study, workers
 from jaxreplay.config import load_config
@@ -76,6 +78,31 @@ def test_a_scheduler_that_does_not_answer_is_told(config, tmp_path, monkeypatch,
     assert cli.main(told) == 2
     error = capsys.readouterr().err
     assert "no Dask scheduler at tcp://127.0.0.1:1" in error
+    assert "Traceback" not in error
+
+
+def test_a_worker_without_jaxreplay_is_told(config, tmp_path, capsys):
+    bare = (
+        "import sys; sys.modules['jaxreplay'] = None; "
+        "from distributed.cli.dask_worker import main; main()"
+    )
+    with LocalCluster(n_workers=0, dashboard_address="127.0.0.1:0") as cluster:
+        address = cluster.scheduler_address
+        worker = subprocess.Popen(
+            [sys.executable, "-c", bare, address, "--no-nanny", "--no-dashboard"],
+            stderr=subprocess.DEVNULL,
+        )
+        try:
+            with Client(cluster) as client:
+                client.wait_for_workers(1, timeout=60)
+            told = ["run", str(config), "--out", str(tmp_path / "out"), "--scheduler", address]
+            assert cli.main(told) == 2
+        finally:
+            worker.kill()
+            worker.wait()
+    error = capsys.readouterr().err
+    assert f"a worker of {address} cannot be set up" in error
+    assert "is jaxreplay installed there?" in error
     assert "Traceback" not in error
 
 
