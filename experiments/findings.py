@@ -28,7 +28,7 @@ JUMPS = ("same_tau", "own_tau")
 def main():
     """Print a block for each claim."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--results", type=Path, default=Path("results"), help="of its size")
+    parser.add_argument("--results", type=Path, default=Path("results"), help="of the paper's size")
     parser.add_argument(
         "--large", type=Path, default=Path("results/large"), help="of the large size"
     )

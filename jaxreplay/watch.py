@@ -231,9 +231,8 @@ class View:
         axes.set_ylim(-1.1, 1.1)
         axes.set_title(title)
         axes.set_xlabel("time, s", labelpad=1)
-        for curve, (label, style) in zip(
-            values.T, styles, strict=False
-        ):  # without a light, no line
+        # As many as there are: most studies have no light.
+        for curve, (label, style) in zip(values.T, styles, strict=False):
             (line,) = axes.plot([], [], lw=1.2, label=label, **style)
             self.lines.append((line, curve))
         axes.legend(
