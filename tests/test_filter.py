@@ -13,7 +13,6 @@ from filter_helpers import (
     both_precisions,
     both_readings,
     noise,
-    own_tau_first,
     run,
     run_reference,
     tolerance,
@@ -188,7 +187,8 @@ def test_a_batch_of_replays_is_the_same_as_each_alone(jump):
         assert_close(got, [np.stack(values) for values in want])
 
 
-@own_tau_first
+@pytest.mark.slow
+@both_readings
 def test_steps_are_the_same_without_jit(jump):
     *sequences, zs = scenario("random")
     records, f = Records.from_sequences(*sequences), build_filter(jump)

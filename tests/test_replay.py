@@ -109,6 +109,7 @@ def test_a_step_that_drops_too_much_is_done_again_wider(records, monkeypatch):
     assert result.log_evidence == pytest.approx(whole.log_evidence, rel=1e-5)
 
 
+@pytest.mark.slow
 def test_a_tracker_widens_a_window_and_narrows_it_again(records, monkeypatch):
     """Blind for a while its belief spreads, and gathers again; the other replay rests."""
     monkeypatch.setattr(module, "WINDOWS", (64,))
