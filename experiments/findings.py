@@ -19,7 +19,7 @@ import jaxreplay as jr
 from jaxreplay.plane.demonstrator import DEMONSTRATED
 from jaxreplay.plane.params import PlaneParams
 from jaxreplay.study import STALLS
-from jaxreplay.table import rate
+from jaxreplay.table import cells, rate, short
 
 WIDE = (10**-2.05, 10**-0.45)  # the paper's range of good θ_I
 JUMPS = ("same_tau", "own_tau")
@@ -85,14 +85,14 @@ def mean_by_theta_i(variable: str, unit: str) -> Callable[[xr.Dataset], str]:
 def mean(runs: xr.Dataset, variable: str) -> str:
     """Of successful runs, with its interval by bootstrap over positions."""
     won = runs[variable].where(runs.outcome == "S").transpose("position", ...)
-    cells = won.values.reshape(won.sizes["position"], -1)
-    cells = cells[np.isfinite(cells).any(axis=1)]
-    if len(cells) == 0:
+    rows = won.values.reshape(won.sizes["position"], -1)
+    rows = rows[np.isfinite(rows).any(axis=1)]
+    if len(rows) == 0:
         return "–"
     rng = np.random.default_rng(0)
-    again = [np.nanmean(cells[rng.integers(len(cells), size=len(cells))]) for _ in range(1000)]
+    again = [np.nanmean(rows[rng.integers(len(rows), size=len(rows))]) for _ in range(1000)]
     low, high = np.quantile(again, [0.025, 0.975])
-    return f"{np.nanmean(cells):.1f} ({low:.1f}–{high:.1f})"
+    return f"{np.nanmean(rows):.1f} ({low:.1f}–{high:.1f})"
 
 
 def stalls(runs: xr.Dataset) -> str:
@@ -104,16 +104,16 @@ def stalls(runs: xr.Dataset) -> str:
     return f"{told}; slow {slow}" if failed else "no failure"
 
 
+def how_well(runs: xr.Dataset) -> str:
+    """Success, error and duration."""
+    return f"{successes(runs)}, {mean(runs, 'alignment_error')} mm, {mean(runs, 'duration')} s"
+
+
 def with_records(study: xr.Dataset) -> list[tuple[str, str]]:
-    """Success, error and duration by how many records, or which, are replayed."""
+    """By how many records, or which, are replayed."""
     return [
-        (
-            f"θ_I {theta_i:.2g}, {told}",
-            f"{successes(cell)}, {mean(cell, 'alignment_error')} mm, {mean(cell, 'duration')} s",
-        )
-        for theta_i in study.theta_i.values
-        for told in study.records.values
-        for cell in [study.sel(theta_i=theta_i, records=told)]
+        (f"θ_I {of['theta_i']:.2g}, {of['records']}", how_well(runs))
+        for of, runs in cells(study, ["theta_i", "records"])
     ]
 
 
@@ -121,21 +121,18 @@ def dithered(study: xr.Dataset) -> list[tuple[str, str]]:
     """Success and stalls without and with dithering, by motor unit."""
     return [
         (
-            f"{100 * unit:g} cm/s, {'on' if dithering else 'off'}",
-            f"{successes(cell)}; {stalls(cell)}",
+            f"{100 * of['motor_unit']:g} cm/s, {short(of['dithering'])}",
+            f"{successes(runs)}; {stalls(runs)}",
         )
-        for unit in study.motor_unit.values
-        for dithering in (False, True)
-        for cell in [study.sel(motor_unit=unit, dithering=dithering)]
+        for of, runs in cells(study, ["motor_unit", "dithering"])
     ]
 
 
 def charged(study: xr.Dataset) -> list[tuple[str, str]]:
     """Success and duration by the battery's voltage."""
     return [
-        (f"{100 * share:.0f} %", f"{successes(cell)}, {mean(cell, 'duration')} s")
-        for share in study.battery.values
-        for cell in [study.sel(battery=share)]
+        (f"{100 * of['battery']:.0f} %", f"{successes(runs)}, {mean(runs, 'duration')} s")
+        for of, runs in cells(study, ["battery"])
     ]
 
 
@@ -158,26 +155,18 @@ def noisy(study: xr.Dataset) -> list[tuple[str, str]]:
     """Success by σ, for each noise of the sensors."""
     return [
         (
-            f"{factor:g} × the noise",
-            ", ".join(
-                f"σ {s:.2g}: {successes(study.sel(sensor_noise=factor, sigma=s))}"
-                for s in study.sigma.values
-            ),
+            f"{of['sensor_noise']:g} × the noise",
+            ", ".join(f"σ {at['sigma']:.2g}: {successes(c)}" for at, c in cells(runs, ["sigma"])),
         )
-        for factor in study.sensor_noise.values
+        for of, runs in cells(study, ["sensor_noise"])
     ]
 
 
 def lit(study: xr.Dataset) -> list[tuple[str, str]]:
-    """Success, error and duration without and with a sensor of the light in the room."""
+    """Without and with a sensor of the light in the room."""
     return [
-        (
-            f"θ_I {theta_i:.2g}, {'with' if light else 'without'}",
-            f"{successes(cell)}, {mean(cell, 'alignment_error')} mm, {mean(cell, 'duration')} s",
-        )
-        for theta_i in study.theta_i.values
-        for light in (False, True)
-        for cell in [study.sel(theta_i=theta_i, light=light)]
+        (f"θ_I {of['theta_i']:.2g}, light {short(of['light'])}", how_well(runs))
+        for of, runs in cells(study, ["theta_i", "light"])
     ]
 
 

@@ -11,16 +11,14 @@ import argparse
 from pathlib import Path
 from typing import NamedTuple
 
-import jax
 import matplotlib.pyplot as plt
 import numpy as np
 
 from jaxreplay.machine import keep_compiled
 from jaxreplay.plane.params import PlaneParams
 from jaxreplay.plane.stall import STALL_SECONDS
-from jaxreplay.runs import records_of, runs_of, setting, worlds_for
 from jaxreplay.study import STALLS, config_of, demonstrations, open_study
-from jaxreplay.watch import beliefs, watched
+from jaxreplay.watch import done_again
 
 PERIOD = PlaneParams().control_period
 TAKES_PART = 0.05  # a record with a larger share of the belief
@@ -93,14 +91,8 @@ def picked(folders: list[Path], each: int) -> list[tuple[str, tuple[Path, int]]]
 
 def stall_of(folder: Path, k: int, out: Path) -> Stall:
     """Do a study's k-th run again."""
-    study = open_study(folder)
-    config = config_of(study)
-    one = runs_of(config).of(np.array([k]))
-    params, (seed,), told = setting(config, one)
-    records = records_of(config, demonstrations(config, out), one)
-    jump = str(one.values["jump"][0])
-    run = watched(records, params, worlds_for(one, 1), jump, seed, told)
-    belief = beliefs(records, jax.tree.map(lambda x: x[0], params), jump, run.observations)
+    config = config_of(open_study(folder))
+    one, _, run, belief = done_again(config, demonstrations(config, out), k)
     belief = belief[-round(STALL_SECONDS / PERIOD) :]
     share = belief.sum(axis=2)
     moments = PERIOD * np.arange(belief.shape[2])
@@ -108,7 +100,7 @@ def stall_of(folder: Path, k: int, out: Path) -> Stall:
         f"{folder} --run {k}",
         share,
         (belief @ moments) / np.maximum(share, np.finfo(share.dtype).tiny),
-        run.commands[-len(belief) :, :2] / told["motor_unit"],
+        run.commands[-len(belief) :, :2] / one.values["motor_unit"],
     )
 
 

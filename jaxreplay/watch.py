@@ -91,6 +91,19 @@ def beliefs(records: Records, params: Params, jump: str, observations: np.ndarra
     return np.asarray(jax.jit(lambda: jax.lax.scan(step, filter.init(records), z)[1])())
 
 
+def done_again(
+    config: StudyConfig, records: Records, k: int
+) -> tuple[Runs, Records, Watched, np.ndarray]:
+    """Do the k-th run of a study again: which it is, what it replays, all it did, its beliefs."""
+    one = runs_of(config).of(np.array([k]))
+    params, (seed,), options = setting(config, one)
+    records = records_of(config, records, one)
+    jump = str(one.values["jump"][0])
+    run = watched(records, params, worlds_for(one, 1), jump, seed, options)
+    belief = beliefs(records, jax.tree.map(lambda x: x[0], params), jump, run.observations)
+    return one, records, run, belief
+
+
 def animate_run(
     config: StudyConfig,
     records: Records,
@@ -104,12 +117,7 @@ def animate_run(
     Returns:
         What run it was, and how it ended.
     """
-    one = runs_of(config).of(np.array([k]))
-    params, (seed,), options = setting(config, one)
-    records = records_of(config, records, one)
-    jump = str(one.values["jump"][0])
-    run = watched(records, params, worlds_for(one, 1), jump, seed, options)
-    belief = beliefs(records, jax.tree.map(lambda x: x[0], params), jump, run.observations)
+    one, records, run, belief = done_again(config, records, k)
     title = _title(one, run.replays)
     animate(run, belief, records, title, path, speed, progress)
     return title
