@@ -1,17 +1,17 @@
 """Why do we differ from the paper? One thing is changed at a time, in runs alike in all else.
 
-    python experiments/causes.py [--ahead 6] [--aside 10] [--out results/causes]
+    python experiments/causes.py [--theta-i V …] [--only WHAT …] [--ahead N] [--aside N] [--out DIR]
 
 Two of its claims do not come out here: that S is about 90 % up to θ_I = 10^-0.5 when equation 6 is
-read as printed, and that S drops for small θ_I. So each of three θ_I is replayed in both readings
-of a jump, one run at each of `--ahead` × `--aside` positions, as it is and with
+read as printed, and that S drops for small θ_I. So each of three θ_I, or those told, is replayed in
+both readings of a jump, one run at each of `--ahead` × `--aside` positions, as it is and with
 
 - demonstrations in step: warped in time so that all are in the same situation at the same moment;
 - a plain filter: float32 probabilities as one would write them at first, which underflow;
 - other sensor noise, motor units or control periods. The last ones change the teacher's, too.
 
-What was run stays in the folder `--out`; the same command goes on where it was stopped. Intervals
-are Wilson's, 95 %.
+`--only` leaves out all of these but those named. What was run stays in the folder `--out`, and is
+not run again. Intervals are Wilson's, 95 %.
 """
 
 import argparse
@@ -47,7 +47,7 @@ from jaxreplay.tracker import Tracker
 SEED = 2012
 SLOTS = 56
 THETA_I = (10**-0.5, 10**-2, 1e-25)
-MARKERS = "o", "s", "^"
+MARKERS = "os^vD*"
 JUMPS = ("same_tau", "own_tau")
 
 
@@ -63,34 +63,50 @@ class Variant(NamedTuple):
 def main():
     """Run what is missing, tell and draw."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--theta-i", type=float, nargs="+", default=THETA_I, metavar="V")
+    parser.add_argument("--only", nargs="+", choices=VARIANTS, default=VARIANTS, metavar="WHAT")
     parser.add_argument("--ahead", type=int, default=6, help="positions, 26 to 39 cm ahead")
     parser.add_argument("--aside", type=int, default=10, help="… and up to 9 cm aside")
     parser.add_argument("--out", type=Path, default=Path("results/causes"))
     options = parser.parse_args()
+    theta_i = tuple(options.theta_i)
     if min(options.ahead, options.aside) < 1:
         parser.error("--ahead and --aside must be at least 1")
+    if len(theta_i) > len(MARKERS) or not all(0 <= v <= 1 for v in theta_i):
+        parser.error(f"--theta-i must be at most {len(MARKERS)} values within 0 and 1")
     keep_compiled()
     options.out.mkdir(parents=True, exist_ok=True)
     places = np.linspace(0.26, 0.39, options.ahead), np.linspace(-0.09, 0.09, options.aside)
     positions = np.array(list(product(*places)))
     kept = options.out / f"{options.ahead}x{options.aside}.json"
     found = json.loads(kept.read_text()) if kept.exists() else {}
-    for name, variant in VARIANTS.items():
-        cells = {f"{name}, {jump}, {v:.3g}": (jump, v) for jump in JUMPS for v in THETA_I}
-        if cells.keys() <= found.keys():
-            continue
-        records = variant.warp(record(variant.demonstrated, DEMONSTRATED, SEED)[0])
-        for cell, (jump, theta_i) in cells.items():
-            if cell not in found:
-                found[cell] = run(variant, records, jump, theta_i, positions)
+    for name in options.only:
+        missing = {
+            key(name, jump, v): (jump, v) for jump, v in product(JUMPS, theta_i)
+            if key(name, jump, v) not in found
+        }  # fmt: skip
+        if missing:
+            variant = VARIANTS[name]
+            records = variant.warp(record(variant.demonstrated, DEMONSTRATED, SEED)[0])
+            for cell, (jump, v) in missing.items():
+                found[cell] = run(variant, records, jump, v, positions)
                 part = kept.with_suffix(".part")
                 part.write_text(json.dumps(found, indent=1))
                 part.replace(kept)
                 print(f"{cell}: {' '.join(found[cell])}", flush=True)
-    print(table(found))
+    asked = {
+        name: {jump: [found[key(name, jump, v)] for v in theta_i] for jump in JUMPS}
+        for name in options.only
+    }
+    print(table(asked, theta_i))
     for suffix in ("png", "pdf"):
-        figure(found, options.out / f"causes.{suffix}")
+        figure(asked, theta_i, options.out / f"causes.{suffix}")
     print(f"{options.out}: causes.png and causes.pdf")
+
+
+def key(name: str, jump: str, theta_i: float) -> str:
+    """What a cell's runs are kept under."""
+    return f"{name}, {jump}, {theta_i:.3g}"
 
 
 def run(
@@ -251,39 +267,46 @@ VARIANTS = {
 }
 
 
-def table(found: dict[str, list[str]]) -> str:
+Asked = dict[str, dict[str, list[list[str]]]]  # outcomes by what is changed, reading and θ_I
+
+
+def table(asked: Asked, theta_i: tuple[float, ...]) -> str:
     """A row for each variant."""
-    heads = [f"{jump} {v:.3g}" for jump in JUMPS for v in THETA_I]
+    heads = [f"{jump} {v:.3g}" for jump in JUMPS for v in theta_i]
     lines = [f"{'S, %, by reading and θ_I':26}" + "".join(f"{head:>18}" for head in heads)]
-    for name in VARIANTS:
-        cells = [found[f"{name}, {jump}, {v:.3g}"] for jump in JUMPS for v in THETA_I]
+    for name, by_jump in asked.items():
+        cells = [cell for jump in JUMPS for cell in by_jump[jump]]
         lines.append(f"{name:26}" + "".join(f"{rate(c.count('S'), len(c)):>18}" for c in cells))
         stalls = [f"Fs {c.count('Fs')}" for c in cells]
         lines.append(" " * 26 + "".join(f"{told:>18}" for told in stalls))
     return "\n".join(lines)
 
 
-def figure(found: dict[str, list[str]], path: Path):
+def figure(asked: Asked, theta_i: tuple[float, ...], path: Path):
     """S of each variant, with its interval; a panel for each reading."""
+    rows = np.arange(len(asked))
+    aside = np.linspace(-0.5, 0.5, len(theta_i) + 2)[1:-1] * 0.88
     with plt.rc_context({"font.size": 8, "axes.spines.top": False, "axes.spines.right": False}):
-        drawn, axes = plt.subplots(1, 2, figsize=(8, 3.6), layout="constrained", sharey=True)
+        height = 0.45 + 0.35 * max(len(rows), 3)
+        drawn, axes = plt.subplots(1, 2, figsize=(8, height), layout="constrained", sharey=True)
         for ax, jump in zip(axes, JUMPS, strict=True):
-            for k, (v, marker) in enumerate(zip(THETA_I, MARKERS, strict=True)):
-                cells = [found[f"{name}, {jump}, {v:.3g}"] for name in VARIANTS]
+            for k, (v, marker) in enumerate(zip(theta_i, MARKERS, strict=False)):
+                cells = [by_jump[jump][k] for by_jump in asked.values()]
                 s = np.array([100 * c.count("S") / len(c) for c in cells])
                 reach = 100 * np.array([wilson(c.count("S"), len(c)) for c in cells]).T
                 ax.errorbar(
-                    s, np.arange(len(s)) + 0.22 * (k - 1), xerr=np.abs(reach - s), fmt=marker,
-                    color=str(0.3 * k), markerfacecolor="white" if k else "black", markersize=4,
+                    s, rows + aside[k], xerr=np.abs(reach - s), fmt=marker, markersize=4,
+                    color=str(0.6 * k / max(2, len(theta_i) - 1)),
+                    markerfacecolor="white" if k else "black",
                     capsize=2, lw=0.8, label=f"$\\theta_I$ = {write('theta_i', v)}",
                 )  # fmt: skip
             ax.set_title(READINGS[jump], loc="left", fontsize=8)
             ax.set_xlabel("S, % (whiskers: 95 %)")
             ax.set_xlim(-3, 103)
             ax.grid(axis="y", lw=0.3)
-        axes[0].set_yticks(range(len(VARIANTS)), VARIANTS)
+        axes[0].set_yticks(rows, asked)
         axes[0].invert_yaxis()
-        drawn.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=3,
+        drawn.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=6,
                      frameon=False)  # fmt: skip
         drawn.savefig(path, dpi=150)
         plt.close(drawn)

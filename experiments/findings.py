@@ -35,11 +35,16 @@ def main():
     options = parser.parse_args()
     for claim, paper, study, values in CLAIMS:
         print(f"\n{claim}\n  {'the paper':48}{paper}")
-        for size, folder in (("its size", options.results), ("large", options.large)):
-            if not (folder / study / "study.json").exists():
-                print(f"  {size:48}not run: {folder / study}")
+        for size, folder in (
+            ("its size", options.results / study),
+            ("large", options.large / study),
+            ("large, same_tau", options.large / f"{study}_same_tau"),
+        ):
+            if not (folder / "study.json").exists():
+                if not folder.name.endswith("_same_tau"):
+                    print(f"  {size:48}not run: {folder}")
                 continue
-            for name, value in values(jr.open_study(folder / study)):
+            for name, value in values(jr.open_study(folder)):
                 print(f"  {f'{size}, {name}':48}{value}")
 
 

@@ -9,13 +9,13 @@
 
 set -e
 cd "$(dirname "$0")/.."
-options="$*"
+options="$*" reading=
 
 study() {
     name=$1
     shift
     # shellcheck disable=SC2086 # several words
-    .venv/bin/jaxreplay run "experiments/$name.toml" --out "results/large/$name" "$@" $options
+    .venv/bin/jaxreplay run "experiments/$name.toml" --out "results/large/$name$reading" "$@" $options
 }
 
 many() { # positions ahead and aside, and what else differs
@@ -31,6 +31,16 @@ many dithering 10 15 --set repeats=1 --set "axis.theta_i=[0.1,0.01]" --set "axis
 many battery 10 15 --set repeats=1 --set "axis.theta_i=[0.1,0.01]" --set "axis.battery=[0.2,0.6,1.0]"
 many light 10 15 --set repeats=1 --set "axis.theta_i=[0.1,0.01]"
 study grid
+study sigma
+study noise
+study outside
+
+# Equation 6 as printed, at a θ_I that suits it; theta_i, above, has both readings.
+reading=_same_tau options="--set jump=same_tau --set theta_i=0.001 $options"
+many interpolation 5 6 --set repeats=10
+many dithering 15 20 --set repeats=1 --set "axis.motor_unit=[0.005,0.01,0.02]"
+many battery 15 20 --set repeats=1 --set "axis.battery=[0.2,0.6,1.0]"
+many light 15 20 --set repeats=1
 study sigma
 study noise
 study outside

@@ -180,9 +180,10 @@ def test_the_large_sizes_are_told_of_in_one_file(tmp_path):
         run, file, _, out, *others = line.split()
         assert run == "run"
         assert others[-2:] == ["--workers", "2"]
-        name = Path(file).stem
-        assert out == f"results/large/{name}"
-        runs[name] = len(runs_of(load_config(folder / f"{name}.toml", others[1:-2:2])))
+        config = load_config(folder / Path(file).name, others[1:-2:2])
+        reading = "_same_tau" if config.fixed.get("jump") == "same_tau" else ""
+        assert out == f"results/large/{Path(file).stem}{reading}"
+        runs[Path(out).name] = len(runs_of(config))
     assert runs == LARGE
 
 
@@ -190,6 +191,9 @@ LARGE = {
     "theta_i": 2 * 10 * 300, "interpolation": 2 * 8 * 300, "dithering": 2 * 2 * 3 * 150,
     "battery": 2 * 3 * 150, "light": 2 * 2 * 150, "grid": 7 * 7 * 7 * 30, "sigma": 7 * 7 * 30,
     "noise": 4 * 7 * 30, "outside": 10 * 13 * 3,
+    "interpolation_same_tau": 8 * 300, "dithering_same_tau": 2 * 3 * 300,
+    "battery_same_tau": 3 * 300, "light_same_tau": 2 * 300, "sigma_same_tau": 7 * 7 * 30,
+    "noise_same_tau": 4 * 7 * 30, "outside_same_tau": 10 * 13 * 3,
 }  # fmt: skip
 
 
