@@ -27,6 +27,7 @@ import gymnasium
 import matplotlib.pyplot as plt
 import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv
+from tqdm import tqdm
 
 from jaxreplay import Params, Records
 from jaxreplay.machine import cores, keep_compiled
@@ -240,7 +241,8 @@ def run(repeats: int) -> dict[Cell, np.ndarray]:
     tasks = [(cells, k) for cells in alike.values() for k in range(repeats)]
     found = {}
     with ThreadPoolExecutor(cores()) as threads:
-        for some in threads.map(drive, tasks):
+        done = tqdm(threads.map(drive, tasks), total=len(tasks), unit=" of each", disable=None)
+        for some in done:
             for cell, driven in some.items():
                 found.setdefault(cell, []).append(driven)
     return {cell: np.array(driven) for cell, driven in found.items()}

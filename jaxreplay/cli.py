@@ -225,6 +225,8 @@ def _workers(options: argparse.Namespace) -> "Callable[[], AbstractContextManage
 
     if options.workers:
         return partial(local_workers, options.workers)
+    with workers_of(options.scheduler):
+        pass  # what is wrong there is told before any work is done
     return partial(workers_of, options.scheduler)
 
 

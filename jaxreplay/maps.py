@@ -24,21 +24,23 @@ COLOURS = "cividis"  # as light as it is large, to every eye and in grey
 def draw(dataset: xr.Dataset, folder: Path) -> str:
     """Draw what suits a study, as PNG and PDF; returns the files' names.
 
-    Figure 3 for few values, else a map of two factors if there are two numbers among them; a map
-    of the plane for many positions and few values.
+    `outcomes` is the paper's Figure 3; a study with two numbers among its factors and too many
+    values for that is a `map` of them instead. Many positions and few values make `positions`, a
+    map of the plane, besides.
     """
     dims = axes_of(dataset)
     sizes = sorted(dataset.sizes[d] for d in dims)
-    if dataset.sizes["position"] > MOST_POSITIONS and np.prod(sizes) <= MOST_ROWS:
-        name, figure = "map", position_map
-    elif np.prod(sizes[:-1]) > MOST_ROWS and sum(FACTORS[d].numeric for d in dims) > 1:
-        name, figure = "map", factor_map
+    if np.prod(sizes[:-1]) > MOST_ROWS and sum(FACTORS[d].numeric for d in dims) > 1:
+        figures = {"map": factor_map}
     else:
-        name, figure = "figure_3", figure_3
-    for suffix in ("png", "pdf"):
-        with matplotlib.rc_context({"font.size": 8}):
-            figure(dataset, folder / f"{name}.{suffix}")
-    return f"{name}.png and {name}.pdf"
+        figures = {"outcomes": figure_3}
+    if dataset.sizes["position"] > MOST_POSITIONS and np.prod(sizes) <= MOST_ROWS:
+        figures["positions"] = position_map
+    for name, figure in figures.items():
+        for suffix in ("png", "pdf"):
+            with matplotlib.rc_context({"font.size": 8}):
+                figure(dataset, folder / f"{name}.{suffix}")
+    return ", ".join(f"{name}.png and {name}.pdf" for name in figures)
 
 
 def factor_map(dataset: xr.Dataset, path: str | Path) -> None:
@@ -73,15 +75,17 @@ def position_map(dataset: xr.Dataset, path: str | Path) -> None:
     """Success by where the cube stands; a panel for each cell of the study."""
     panels = list(cells(dataset, axes_of(dataset)))
     left, ahead = 100 * dataset.cube_y.values, 100 * dataset.cube_x.values
-    width = 0.3 * len(np.unique(left)) + 0.6
-    figure, axes = _panels(len(panels), width, 0.3 * len(np.unique(ahead)) + 0.6)
+    told = dataset.sizes["repeat"] > 1  # in numbers, for which squares must be large
+    step, area = (0.3, 190) if told else (0.15, 55)
+    width, height = (step * len(np.unique(at)) + 0.6 for at in (left, ahead))
+    figure, axes = _panels(len(panels), width, height)
     low, high = 100 * DEMONSTRATED.min(axis=0), 100 * DEMONSTRATED.max(axis=0)
     for ax, (values, runs) in zip(axes, panels, strict=True):
         rate = _rate(runs, "repeat").values
         image = ax.scatter(
-            left, ahead, s=190, c=rate, marker="s", cmap=COLOURS, vmin=0, vmax=100, linewidths=0
+            left, ahead, s=area, c=rate, marker="s", cmap=COLOURS, vmin=0, vmax=100, linewidths=0
         )
-        for x, y, value in zip(left, ahead, rate, strict=True):
+        for x, y, value in zip(left, ahead, rate, strict=True) if told else ():
             _number(ax, x, y, value)
         size = (high - low)[::-1]
         ax.add_patch(  # under the numbers
@@ -89,7 +93,7 @@ def position_map(dataset: xr.Dataset, path: str | Path) -> None:
         )
         ax.invert_xaxis()  # the robot's left is on the left
         ax.set_title(title(values), fontsize=8)
-    axes[0].legend(loc="lower left", bbox_to_anchor=(0, 1), frameon=False, borderpad=0)
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper left", frameon=False)
     _name(figure, "cube, to the left of the robot's start, cm", "cube, ahead, cm")
     _finish(figure, axes, image, dataset.isel(position=0), path)
 
@@ -126,5 +130,6 @@ def _number(ax: Axes, x: float, y: float, value: float):
 
 def _finish(figure: Figure, axes: list[Axes], image, one: xr.Dataset, path: str | Path):
     n = one.outcome.isel(dict.fromkeys(axes_of(one), 0)).size
-    figure.colorbar(image, ax=axes, label=f"S, % of {n} runs each", fraction=0.05)
+    runs = f"{n} runs" if n > 1 else "1 run"
+    figure.colorbar(image, ax=axes, label=f"S, % ({runs} each)", fraction=0.05)
     figure.savefig(path, dpi=150)

@@ -13,6 +13,7 @@ from filter_helpers import (
     both_precisions,
     both_readings,
     noise,
+    own_tau_first,
     run,
     run_reference,
     tolerance,
@@ -399,7 +400,7 @@ def test_a_filter_must_be_one_of_the_two_readings_with_a_window_that_can_move():
         build_filter(window=31)
 
 
-@both_readings
+@own_tau_first
 def test_gradients_of_log_evidence_are_its_differences(jump):
     sequences = random_sequences(8)
     sequences[0][0][4] = sequences[0][0][3]  # a segment of no length

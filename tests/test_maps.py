@@ -62,8 +62,10 @@ def test_a_map_of_two_factors_tells_the_share_of_successes(drawn, tmp_path):
 
 def test_a_map_of_positions_tells_the_share_of_successes_at_each(drawn, tmp_path):
     data = dataset({"dithering": 2, "position": 16, "repeat": 6})
-    assert draw(data, tmp_path) == "map.png and map.pdf"
-    panels = [ax for ax in drawn[0].axes if ax.texts]
+    assert draw(data, tmp_path) == (
+        "outcomes.png and outcomes.pdf, positions.png and positions.pdf"
+    )
+    panels = drawn[-1].axes[:2]
     for k, ax in enumerate(panels):
         expected = [percent(data.outcome.values[k, i]) for i in range(16)]
         assert numbers(ax) == [number for cell in expected for number in cell]
@@ -71,10 +73,23 @@ def test_a_map_of_positions_tells_the_share_of_successes_at_each(drawn, tmp_path
         np.testing.assert_allclose(where, 100 * np.stack([data.cube_y, data.cube_x], axis=1))
 
 
+def test_single_runs_at_positions_are_squares_without_numbers(drawn, tmp_path):
+    data = dataset({"position": 16, "repeat": 1})
+    data = data.expand_dims(theta_i=[0.1])
+    draw(data, tmp_path)
+    ax, bar = drawn[-1].axes
+    assert not ax.texts
+    shown = ax.collections[0].get_array()
+    outcome = data.outcome.values.ravel()
+    np.testing.assert_array_equal(shown[outcome != ""] == 100, outcome[outcome != ""] == "S")
+    assert np.ma.getmaskarray(np.ma.masked_invalid(shown))[outcome == ""].all()
+    assert bar.get_ylabel() == "S, % (1 run each)"
+
+
 @pytest.mark.parametrize(
     "sizes", [{"theta_i": 10, "dithering": 2}, {"theta_i": 4, "sigma": 4}, {"dithering": 2}]
 )
 def test_few_values_are_drawn_as_in_the_paper(sizes, drawn, tmp_path):
     assert draw(dataset(sizes | {"position": 5, "repeat": 3}), tmp_path) == (
-        "figure_3.png and figure_3.pdf"
+        "outcomes.png and outcomes.pdf"
     )

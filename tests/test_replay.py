@@ -14,6 +14,8 @@ from jaxreplay.plane.params import SENSOR_RANGES, PlaneParams
 from jaxreplay.replay import replay
 from jaxreplay.study import outcomes
 
+pytestmark = pytest.mark.usefixtures("fewer_windows")
+
 LONG = PlaneParams()
 SHORT = replace(LONG, time_limit=12.0)
 

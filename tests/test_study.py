@@ -67,7 +67,7 @@ def test_a_study_leaves_dataset_figure_and_demonstrations(study):
     names = {path.name for path in folder.iterdir()}
     (demonstrations,) = folder.glob("demonstrations_*.npz")
     assert names == {
-        "study.json", "study.lock", "shards", "figure_3.png", "figure_3.pdf", demonstrations.name,
+        "study.json", "study.lock", "shards", "outcomes.png", "outcomes.pdf", demonstrations.name,
         "notes.txt",
     }  # fmt: skip
     assert (folder / "notes.txt").read_text() == "mine"

@@ -74,8 +74,10 @@ def profile_of(dask_worker):
 
 def test_a_scheduler_that_does_not_answer_is_told(config, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(workers, "PATIENCE", 0.1)
-    told = ["run", str(config), "--out", str(tmp_path), "--scheduler", "tcp://127.0.0.1:1"]
+    out = tmp_path / "out"
+    told = ["run", str(config), "--out", str(out), "--scheduler", "tcp://127.0.0.1:1"]
     assert cli.main(told) == 2
+    assert not out.exists()  # told before any work is done
     error = capsys.readouterr().err
     assert "no Dask scheduler at tcp://127.0.0.1:1" in error
     assert "Traceback" not in error

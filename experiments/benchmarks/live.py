@@ -13,6 +13,7 @@ no faster than dense.
 import argparse
 import json
 import time
+from functools import partial
 from pathlib import Path
 
 import jax
@@ -20,6 +21,7 @@ import numpy as np
 from work import SIGMA, THETA_I, THETA_TAU, make_work
 
 import jaxreplay as jr
+from jaxreplay.tracker import COMPILER_OPTIONS
 
 N, L, N_SENSORS = 50, 5000, 7
 WARM_UP = 20  # steps not counted
@@ -87,7 +89,7 @@ class Dense:
         filter = jr.build_filter(jump)
         self.belief = filter.predict(records, params, filter.init(records))
 
-        @jax.jit
+        @partial(jax.jit, compiler_options=COMPILER_OPTIONS)
         def step(belief, z):
             belief, log_evidence = filter.update(records, params, belief, z)
             ended = filter.end_probability(records, belief)
