@@ -241,7 +241,7 @@ def run(repeats: int) -> dict[Cell, np.ndarray]:
     tasks = [(cells, k) for cells in alike.values() for k in range(repeats)]
     found = {}
     with ThreadPoolExecutor(cores()) as threads:
-        done = tqdm(threads.map(drive, tasks), total=len(tasks), unit=" of each", disable=None)
+        done = tqdm(threads.map(drive, tasks), total=len(tasks), unit="set", disable=None)
         for some in done:
             for cell, driven in some.items():
                 found.setdefault(cell, []).append(driven)
