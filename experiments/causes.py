@@ -305,7 +305,7 @@ def figure(asked: Asked, theta_i: tuple[float, ...], path: Path):
             ax.set_xlim(-3, 103)
             ax.grid(axis="y", lw=0.3)
         axes[0].set_yticks(rows, asked)
-        axes[0].invert_yaxis()
+        axes[0].set_ylim(len(rows) - 0.5, -0.5)
         drawn.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=6,
                      frameon=False)  # fmt: skip
         drawn.savefig(path, dpi=150)
