@@ -17,7 +17,7 @@ import numpy as np
 import xarray as xr
 from tqdm import tqdm
 
-from jaxreplay.config import ConfigError, StudyConfig, load_config
+from jaxreplay.config import ConfigError, StudyConfig, load_config, tuned_changes
 from jaxreplay.filter import PREDICTIONS
 from jaxreplay.machine import cores, keep_compiled
 from jaxreplay.maps import draw
@@ -75,6 +75,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         metavar="KEY=VALUE",
         help="instead of what FILE says, e.g. 'axis.theta_i.logspace=[-1,-3,5]' or jump=own_tau; a "
         "single value takes the place of FILE's axis",
+    )
+    run.add_argument(
+        "--params", type=Path, metavar="TUNED", help="a file that tune saved: its θ_I, θ_τ and σ"
     )
     run.add_argument(
         "--slots", type=_count, metavar="N", help="runs that advance together, as --set slots=N"
@@ -178,7 +181,8 @@ def _warn(message: Warning | str, *_):
 
 def _run(options: argparse.Namespace) -> int:
     slots = [f"slots={options.slots}"] if options.slots else []
-    config = load_config(options.file, options.changes + slots)
+    tuned = tuned_changes(options.params) if options.params else []
+    config = load_config(options.file, tuned + options.changes + slots)
     folder = options.out or Path("results") / options.file.stem
     if folder.exists() and not folder.is_dir():
         raise ConfigError(f"--out {folder} is a file; give a folder")

@@ -12,6 +12,7 @@ import numpy as np
 from jaxreplay.factors import FACTORS, MUST, number, whole
 from jaxreplay.plane.demonstrator import TESTED
 from jaxreplay.plane.options import unknown
+from jaxreplay.plane.params import SENSOR_NAMES, SENSOR_RANGES
 
 SLOTS = 56  # worlds that advance together, unless a study says otherwise
 # Where a cube can be laid in the experimental area, clear of the robot: m ahead, m to the left.
@@ -67,13 +68,7 @@ def load_config(path: str | Path, changes: Sequence[str] = ()) -> StudyConfig:
             of range.
     """
     path = Path(path)
-    try:
-        with path.open("rb") as file:
-            given = tomllib.load(file)
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read: {error.strerror}") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path}: is not TOML: {error}") from None
+    given = _loaded(path)
     if isinstance(given.get("demonstrations"), str):
         given["demonstrations"] = str(path.parent / given["demonstrations"])
     try:
@@ -82,6 +77,42 @@ def load_config(path: str | Path, changes: Sequence[str] = ()) -> StudyConfig:
         return _parse(given)
     except ValueError as error:
         raise ConfigError(f"{path}: {error}") from None
+
+
+def tuned_changes(path: str | Path) -> list[str]:
+    """The parameters that jaxreplay tune saved in a file, as changes for :func:`load_config`.
+
+    Raises:
+        ConfigError: no such file, not TOML, not such parameters, or those of other sensors than
+            the plane's.
+    """
+    given = _loaded(Path(path))
+    sigma = given.get("sigma")
+    if given.keys() != {"theta_i", "theta_tau", "sigma"} or not isinstance(sigma, dict):
+        raise ConfigError(
+            f"{path}: must hold theta_i, theta_tau and a table sigma, as jaxreplay tune saves them"
+        )
+    if sorted(sigma) != sorted(SENSOR_NAMES):
+        raise ConfigError(
+            f"{path}: its sensors are {', '.join(sigma)}; the plane has {', '.join(SENSOR_NAMES)}"
+        )
+    values = {name: given[name] for name in ("theta_i", "theta_tau")}
+    for name, full in zip(SENSOR_NAMES, SENSOR_RANGES, strict=True):
+        try:
+            values[f"sigma_{name}"] = number(0, float("inf"))(sigma[name], f"sigma.{name}") / full
+        except ValueError as error:
+            raise ConfigError(f"{path}: {error}") from None
+    return [f"{name}={value!r}" for name, value in values.items()]
+
+
+def _loaded(path: Path) -> dict[str, Any]:
+    try:
+        with path.open("rb") as file:
+            return tomllib.load(file)
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read: {error.strerror}") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path}: is not TOML: {error}") from None
 
 
 def _change(given: dict, change: str):

@@ -9,7 +9,7 @@ from jaxreplay import cli, estimate, factors
 from jaxreplay import config as config_module
 from jaxreplay import runs as runs_module
 from jaxreplay import study as study_module
-from jaxreplay.config import ConfigError, StudyConfig, load_config
+from jaxreplay.config import ConfigError, StudyConfig, load_config, tuned_changes
 from jaxreplay.factors import FACTORS
 from jaxreplay.figures import figure_3
 from jaxreplay.plane.demonstrator import TESTED, facing
@@ -471,6 +471,43 @@ def test_a_mistake_in_set_is_told_too(tmp_path, capsys, change, message):
     config = write(tmp_path, SMALL)
     assert cli.main(["run", str(config), "--set", change, "--out", str(tmp_path / "out")]) == 2
     assert re.search(message, capsys.readouterr().err)
+
+
+TUNED = "theta_i = 0.03\ntheta_tau = 0.2\n[sigma]\n" + "".join(
+    f'"{name}" = {0.05 * (k + 1)!r}\n' for k, name in enumerate(SENSOR_NAMES)
+)
+
+
+def test_tuned_parameters_are_those_of_the_study(tmp_path):
+    file = write(tmp_path, SMALL + "sigma_proximeter_2 = [0.1, 0.2]\n")
+    config = load_config(file, tuned_changes(write(tmp_path, TUNED, "tuned.toml")))
+    assert list(config.axes) == ["jump"]
+    params, *_ = setting(config, runs_of(config))
+    np.testing.assert_allclose(params.theta_i, 0.03, rtol=1e-6)
+    np.testing.assert_allclose(params.theta_tau, 0.2, rtol=1e-6)
+    expected = np.tile(0.05 * np.arange(1, 8), (5, 1))  # in the sensors' units, as in the file
+    np.testing.assert_allclose(params.sigma, expected, rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("theta_i = ", "tuned.toml: is not TOML"),
+        (SMALL, "must hold theta_i, theta_tau and a table sigma, as jaxreplay tune saves"),
+        (TUNED.replace("proximeter_5", "sonar"), "proximeter_4, sonar; the plane has camera, prox"),
+        (TUNED.replace("= 0.1\n", "= 'a'\n"), "tuned.toml: sigma.proximeter_0 must be a number"),
+        (TUNED.replace("= 0.1\n", "= 0\n"), "sigma_proximeter_0 must be in [1e-06, 1e+06]; got 0"),
+        (TUNED.replace("0.03", "3"), "theta_i must be in [0, 1]; got 3"),
+    ],
+)
+def test_a_mistake_in_tuned_parameters_is_told(tmp_path, capsys, text, message):
+    config, out = write(tmp_path, SMALL), tmp_path / "out"
+    tuned = write(tmp_path, text, "tuned.toml")
+    assert cli.main(["run", str(config), "--params", str(tuned), "--out", str(out)]) == 2
+    told = capsys.readouterr().err
+    assert message in told
+    assert told.count("\n") == 1
+    assert not out.exists()
 
 
 def test_mistakes_outside_the_file_too(tmp_path, capsys):
