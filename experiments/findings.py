@@ -34,7 +34,7 @@ def main():
     )
     options = parser.parse_args()
     for claim, paper, study, values in CLAIMS:
-        print(f"\n{claim}\n  {'the paper':48}{paper}")
+        print(f"\n{claim}\n  {'the paper':58}{paper}")
         for size, folder in (
             ("its size", options.results / study),
             ("large", options.large / study),
@@ -42,10 +42,10 @@ def main():
         ):
             if not (folder / "study.json").exists():
                 if not folder.name.endswith("_same_tau"):
-                    print(f"  {size:48}not run: {folder}")
+                    print(f"  {size:58}not run: {folder}")
                 continue
             for name, value in values(jr.open_study(folder)):
-                print(f"  {f'{size}, {name}':48}{value}")
+                print(f"  {f'{size}, {name}':58}{value}")
 
 
 Values = Callable[[xr.Dataset], list[tuple[str, str]]]
@@ -114,11 +114,19 @@ def how_well(runs: xr.Dataset) -> str:
     return f"{successes(runs)}, {mean(runs, 'alignment_error')} mm, {mean(runs, 'duration')} s"
 
 
+def by_theta_i(study: xr.Dataset) -> list[tuple[str, xr.Dataset]]:
+    """A study's runs by their θ_I, if it has more than one."""
+    if "theta_i" not in study.dims:
+        return [("", study)]
+    return [(f"θ_I {of['theta_i']:.2g}, ", runs) for of, runs in cells(study, ["theta_i"])]
+
+
 def with_records(study: xr.Dataset) -> list[tuple[str, str]]:
     """By how many records, or which, are replayed."""
     return [
-        (f"θ_I {of['theta_i']:.2g}, {of['records']}", how_well(runs))
-        for of, runs in cells(study, ["theta_i", "records"])
+        (f"{at}{of['records']}", how_well(runs))
+        for at, some in by_theta_i(study)
+        for of, runs in cells(some, ["records"])
     ]
 
 
@@ -170,8 +178,9 @@ def noisy(study: xr.Dataset) -> list[tuple[str, str]]:
 def lit(study: xr.Dataset) -> list[tuple[str, str]]:
     """Without and with a sensor of the light in the room."""
     return [
-        (f"θ_I {of['theta_i']:.2g}, light {short(of['light'])}", how_well(runs))
-        for of, runs in cells(study, ["theta_i", "light"])
+        (f"{at}light {short(of['light'])}", how_well(runs))
+        for at, some in by_theta_i(study)
+        for of, runs in cells(some, ["light"])
     ]
 
 
@@ -182,7 +191,11 @@ def around(study: xr.Dataset) -> list[tuple[str, str]]:
     inside = (x >= low_x) & (x <= high_x) & (y >= low_y) & (y <= high_y)
     seen = np.abs(np.arctan2(y, x)) < PlaneParams().field_of_view / 2
     return [
-        (f"{name}, {where.sum().item()} positions", successes(study.isel(position=where.values)))
+        (
+            f"{jump}, {name}, {where.sum().item()} positions",
+            successes(study.sel(jump=jump).isel(position=where.values)),
+        )
+        for jump in JUMPS
         for name, where in (
             ("demonstrated area", inside),
             ("outside, in sight", ~inside & seen),

@@ -190,21 +190,27 @@ def test_the_large_sizes_are_told_of_in_one_file(tmp_path):
 LARGE = {
     "theta_i": 2 * 10 * 300, "interpolation": 2 * 8 * 300, "dithering": 2 * 2 * 3 * 150,
     "battery": 2 * 3 * 150, "light": 2 * 2 * 150, "grid": 7 * 7 * 7 * 30, "sigma": 7 * 7 * 30,
-    "noise": 4 * 7 * 30, "outside": 10 * 13 * 3,
+    "noise": 4 * 7 * 30, "outside": 2 * 10 * 13 * 3,
     "interpolation_same_tau": 8 * 300, "dithering_same_tau": 2 * 3 * 300,
     "battery_same_tau": 3 * 300, "light_same_tau": 2 * 300, "sigma_same_tau": 7 * 7 * 30,
-    "noise_same_tau": 4 * 7 * 30, "outside_same_tau": 10 * 13 * 3,
+    "noise_same_tau": 4 * 7 * 30,
 }  # fmt: skip
 
 
 def test_findings_tell_where_a_cube_stood():
     cubes = np.array([[0.3, 0.05], [0.45, 0.0], [0.2, 0.2], [0.3, -0.15]])
     runs = xr.Dataset(
-        {"outcome": ("position", np.array(["S", "S", "Fb", "Fg"]))},
-        {"cube_x": ("position", cubes[:, 0]), "cube_y": ("position", cubes[:, 1])},
-    )
+        {"outcome": (("jump", "position"), [["S", "S", "Fb", "Fg"], ["S", "Fs", "S", "Fg"]])},
+        {
+            "jump": ["own_tau", "same_tau"],
+            "cube_x": ("position", cubes[:, 0]), "cube_y": ("position", cubes[:, 1]),
+        },
+    )  # fmt: skip
     assert findings.around(runs) == [
-        ("demonstrated area, 1 positions", f"S {findings.rate(1, 1)} %"),
-        ("outside, in sight, 2 positions", f"S {findings.rate(1, 2)} %"),
-        ("outside, out of sight, 1 positions", f"S {findings.rate(0, 1)} %"),
+        ("same_tau, demonstrated area, 1 positions", f"S {findings.rate(1, 1)} %"),
+        ("same_tau, outside, in sight, 2 positions", f"S {findings.rate(0, 2)} %"),
+        ("same_tau, outside, out of sight, 1 positions", f"S {findings.rate(1, 1)} %"),
+        ("own_tau, demonstrated area, 1 positions", f"S {findings.rate(1, 1)} %"),
+        ("own_tau, outside, in sight, 2 positions", f"S {findings.rate(1, 2)} %"),
+        ("own_tau, outside, out of sight, 1 positions", f"S {findings.rate(0, 1)} %"),
     ]
