@@ -106,7 +106,7 @@ def main():
 
 def key(name: str, jump: str, theta_i: float) -> str:
     """What a cell's runs are kept under."""
-    return f"{name}, {jump}, {theta_i:.3g}"
+    return f"{name}, {jump}, {theta_i:g}"
 
 
 def run(

@@ -1,5 +1,5 @@
 #!/bin/sh
-# Every experiment in its large size, some three hours on two cores. Given again, it goes on where it
+# Every experiment in its large size, some two hours on two cores. Given again, it goes on where it
 # was stopped; options are those of `jaxreplay run`.
 #
 #     sh experiments/large.sh --workers 2

@@ -126,6 +126,31 @@ def test_demonstrations_in_step_do_the_same_at_the_same_moment():
         np.testing.assert_allclose(was[:, :2].sum(0), sent[:, :2].sum(0), rtol=0.01, atol=0.02)
 
 
+def test_causes_are_run_once_for_what_is_asked(tmp_path, monkeypatch, capsys):
+    done = []
+
+    def run(variant, records, jump, theta_i, positions):
+        done.append((records, jump, theta_i, len(positions)))
+        return ["S", "S", "Fs"]
+
+    monkeypatch.setattr(causes, "run", run)
+    monkeypatch.setattr(causes, "record", lambda *made_as: ("demonstrations", None))
+    asked = ["causes.py", "--only", "plain float32 filter", "--ahead", "2", "--out", str(tmp_path)]
+    expected = []
+    for theta_i, new in (("0.1 0.01", (0.1, 0.01)), ("0.01 1e-25", (1e-25,))):
+        monkeypatch.setattr(sys, "argv", [*asked, "--theta-i", *theta_i.split()])
+        causes.main()
+        expected += [("demonstrations", jump, v, 20) for jump in causes.JUMPS for v in new]
+        assert done == expected
+        rows = capsys.readouterr().out.splitlines()
+        assert f"{'plain float32 filter':26}" + 4 * f"{findings.rate(2, 3):>18}" in rows
+    assert matplotlib.image.imread(tmp_path / "causes.png").std() > 0
+    monkeypatch.setattr(sys, "argv", [*asked, "--theta-i", "3"])
+    with pytest.raises(SystemExit, match="2"):
+        causes.main()
+    assert "--theta-i must be at most 6 values within 0 and 1" in capsys.readouterr().err
+
+
 GRIPPER = (3, 1), (3, -1), (4, 1), (2, 1)  # column of the commands, and up or down
 
 
