@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxreplay.factors import FACTORS, MUST, number, whole
+from jaxreplay.factors import FACTORS, MUST, SIGMA_OF, number, whole
 from jaxreplay.plane.demonstrator import TESTED
 from jaxreplay.plane.options import unknown
 from jaxreplay.plane.params import SENSOR_NAMES, SENSOR_RANGES
@@ -166,6 +166,13 @@ def _parse(given: dict) -> StudyConfig:
             if factor.default is MUST:
                 raise ValueError(f"{name} is missing; give one value, or a list as axis.{name}")
             fixed[name] = factor.default
+    said = {*axes, *(name for name, value in fixed.items() if value is not None)}
+    used = {[name for name in among if name in said][-1] for among in SIGMA_OF.values()}
+    if "light" in axes or fixed.get("light"):
+        used.add("sigma")
+    for name in axes:
+        if name.startswith("sigma") and name not in used:
+            raise ValueError(f"axis.{name} has no effect: each of its sensors has a σ of its own")
     config = StudyConfig(
         axes, fixed, **{key: read(given[key], key) for key, read in others.items() if key in given}
     )

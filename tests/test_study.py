@@ -489,6 +489,16 @@ def test_tuned_parameters_are_those_of_the_study(tmp_path):
     np.testing.assert_allclose(params.sigma, expected, rtol=1e-6)
 
 
+@pytest.mark.parametrize("light", ["", "light = true\n"])
+def test_an_axis_of_sigma_without_effect_is_refused(tmp_path, light):
+    file = write(tmp_path, light + SMALL + "sigma = [0.1, 0.2]\nsigma_proximeters = [0.1, 0.2]\n")
+    load_config(file)
+    tuned = tuned_changes(write(tmp_path, TUNED, "tuned.toml"))
+    name = "sigma_proximeters" if light else "sigma"  # which is the light's, if there is one
+    with pytest.raises(ConfigError, match=rf"axis\.{name} has no effect: each of its sensors"):
+        load_config(file, tuned)
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
