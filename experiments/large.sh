@@ -36,7 +36,9 @@ study noise
 study outside
 
 # Equation 6 as printed, at a θ_I that suits it; theta_i and outside, above, have both readings.
-reading=_same_tau options="--set jump=same_tau --set theta_i=0.001 $options"
+reading=_same_tau options="--set jump=same_tau $options"
+study grid --set "axis.theta_i.logspace=[-0.5,-6.5,4]" --set "axis.theta_tau=[0.01,0.05,0.2]"
+options="--set theta_i=0.001 $options"
 many interpolation 5 6 --set repeats=10
 many dithering 15 20 --set repeats=1 --set "axis.motor_unit=[0.005,0.01,0.02]"
 many battery 15 20 --set repeats=1 --set "axis.battery=[0.2,0.6,1.0]"

@@ -218,7 +218,7 @@ LARGE = {
     "noise": 4 * 7 * 30, "outside": 2 * 10 * 13 * 3,
     "interpolation_same_tau": 8 * 300, "dithering_same_tau": 2 * 3 * 300,
     "battery_same_tau": 3 * 300, "light_same_tau": 2 * 300, "sigma_same_tau": 7 * 7 * 30,
-    "noise_same_tau": 4 * 7 * 30,
+    "noise_same_tau": 4 * 7 * 30, "grid_same_tau": 4 * 3 * 7 * 30,
 }  # fmt: skip
 
 
