@@ -5,8 +5,8 @@ import os
 import sys
 import time
 import warnings
-from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from functools import partial
 from io import TextIOWrapper
 from pathlib import Path
@@ -193,7 +193,8 @@ def _run(options: argparse.Namespace) -> int:
         print(_cost(config, folder, len(runs), options.workers), file=sys.stderr)
         return DONE
     try:
-        dataset = run_study(config, folder, _Progress(len(runs)), _workers(options))
+        with _workers(options) as workers:
+            dataset = run_study(config, folder, _Progress(len(runs)), workers)
     except KeyboardInterrupt:
         print(
             "\njaxreplay: interrupted; finished shards are kept, the same command goes on",
@@ -221,17 +222,25 @@ def _cost(config: StudyConfig, folder: Path, runs: int, workers: int | None) -> 
     )
 
 
-def _workers(options: argparse.Namespace) -> "Callable[[], AbstractContextManager[RunEach]] | None":
-    """What opens the processes to run shards in; None is in this one."""
-    if not (options.workers or options.scheduler):
-        return None
-    from jaxreplay.workers import local_workers, workers_of
+@contextmanager
+def _workers(
+    options: argparse.Namespace,
+) -> "Iterator[Callable[[], AbstractContextManager[RunEach]] | None]":
+    """What opens the processes to run shards in; None is in this one.
 
-    if options.workers:
-        return partial(local_workers, options.workers)
-    with workers_of(options.scheduler):
-        pass  # what is wrong there is told before any work is done
-    return partial(workers_of, options.scheduler)
+    A scheduler is reached at once, for what is wrong there to be told before any work is done.
+    """
+    if options.scheduler:
+        from jaxreplay.workers import workers_of
+
+        with workers_of(options.scheduler) as run_each:
+            yield lambda: nullcontext(run_each)
+    elif options.workers:
+        from jaxreplay.workers import local_workers
+
+        yield partial(local_workers, options.workers)
+    else:
+        yield None
 
 
 def _count(text: str) -> int:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxreplay.factors import FACTORS, MUST, SIGMA_OF, number, whole
+from jaxreplay.factors import FACTORS, MUST, number, sigma_factors, whole
 from jaxreplay.plane.demonstrator import TESTED
 from jaxreplay.plane.options import unknown
 from jaxreplay.plane.params import SENSOR_NAMES, SENSOR_RANGES
@@ -167,9 +167,9 @@ def _parse(given: dict) -> StudyConfig:
                 raise ValueError(f"{name} is missing; give one value, or a list as axis.{name}")
             fixed[name] = factor.default
     said = {*axes, *(name for name, value in fixed.items() if value is not None)}
-    used = {[name for name in among if name in said][-1] for among in SIGMA_OF.values()}
+    used = sigma_factors(said)
     if "light" in axes or fixed.get("light"):
-        used.add("sigma")
+        used.append("sigma")
     for name in axes:
         if name.startswith("sigma") and name not in used:
             raise ValueError(f"axis.{name} has no effect: each of its sensors has a σ of its own")

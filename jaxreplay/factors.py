@@ -1,6 +1,6 @@
 """What a study can vary, and what each may be."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -119,8 +119,7 @@ def _short(given: Any) -> str:
 
 
 _PLANE = PlaneParams()
-# σ of a sensor: the last of these that is said counts.
-SIGMA_OF = {
+_SIGMA_OF = {  # a sensor, and what may tell its σ
     name: ("sigma", *(["sigma_proximeters"] if "proximeter" in name else []), f"sigma_{name}")
     for name in SENSOR_NAMES
 }
@@ -166,8 +165,13 @@ FACTORS = {
 }
 
 
+def sigma_factors(said: Collection[str]) -> list[str]:
+    """For each sensor the factor that tells its σ: the closest to it among those said."""
+    return [[name for name in among if name in said][-1] for among in _SIGMA_OF.values()]
+
+
 def sigma_of_sensors(values: dict[str, np.ndarray]) -> np.ndarray:
     """σ of each sensor in its own unit, `[n, n_s]`, from the factors' values in n runs."""
     said = {name for name, value in values.items() if value[0] is not None}
-    columns = [values[[n for n in among if n in said][-1]] for among in SIGMA_OF.values()]
+    columns = [values[name] for name in sigma_factors(said)]
     return np.stack(columns, axis=1).astype(float) * np.array(SENSOR_RANGES)
