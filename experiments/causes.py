@@ -1,48 +1,45 @@
-"""Why do we differ from the paper? One thing is changed at a time, in runs alike in all else.
+"""Why do we differ from the paper? One thing is changed at a time, all else being equal.
 
     python experiments/causes.py [--theta-i V …] [--only WHAT …] [--ahead N] [--aside N] [--out DIR]
 
-Two of its claims do not come out here: that S is about 90 % up to θ_I = 10^-0.5 when equation 6 is
-read as printed, and that S drops for small θ_I. So each of three θ_I, or those told, is replayed in
-both readings of a jump, one run at each of `--ahead` × `--aside` positions, as it is and with
+Two of the paper's claims are not reproduced here: that S is about 90 % up to θ_I = 10^-0.5 when
+equation 6 is read as printed, and that S drops for small θ_I. So each of three θ_I, or those
+specified, is replayed in both readings of a jump, one run at each of `--ahead` × `--aside`
+positions, unchanged ("as it is") and with
 
 - demonstrations in step: warped in time so that all are in the same situation at the same moment;
-- a plain filter: float32 probabilities as one would write them at first, which underflow;
-- other sensor noise, motor units or control periods. The last ones change the teacher's, too.
+- a plain filter (`plain_filter.py`): float32 probabilities as one would write them at first, which
+  underflow;
+- other sensor noise, motor units or control periods. A control period is the teacher's, too.
 
-`--only` leaves out all of these but those named. What was run stays in the folder `--out`, and is
-not run again. Intervals are Wilson's, 95 %.
+`--only` names the changes to run. Results are stored in the folder `--out`, and are not computed
+again. Intervals are Wilson's, 95 %.
 """
 
 import argparse
 import json
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial, reduce
 from itertools import product
-from operator import mul
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import jax
-import jax.numpy as jnp
 import matplotlib.pyplot as plt
 import numpy as np
-from jax.scipy.special import erf
-from jax.scipy.stats import norm
+from plain_filter import PlainTracker
 
 from jaxreplay import Params, Records
-from jaxreplay.figures import READINGS, write
-from jaxreplay.filter import LAST_STEPS
-from jaxreplay.machine import keep_compiled
-from jaxreplay.plane.demonstrator import DEMONSTRATED, facing, record
+from jaxreplay.figures.outcomes import READINGS, write
+from jaxreplay.figures.table import rate, wilson
+from jaxreplay.loop.replay import replay
+from jaxreplay.loop.tracker import Tracker
+from jaxreplay.machine import keep_compiled, write_whole
 from jaxreplay.plane.env import PlaneVectorEnv
 from jaxreplay.plane.options import seed_of
 from jaxreplay.plane.params import SENSOR_RANGES, PlaneParams
-from jaxreplay.replay import replay
-from jaxreplay.study import outcomes
-from jaxreplay.table import rate, wilson
-from jaxreplay.tracker import Tracker
+from jaxreplay.plane.positions import DEMONSTRATED, facing
+from jaxreplay.study.demonstrations import record
+from jaxreplay.study.shard import outcomes
 
 SEED = 2012
 SLOTS = 56
@@ -52,7 +49,7 @@ JUMPS = ("same_tau", "own_tau")
 
 
 class Variant(NamedTuple):
-    """What is changed."""
+    """A change: of the replay's plane, of the demonstrations', of the records, or of the filter."""
 
     plane: PlaneParams = PlaneParams()
     demonstrated: PlaneParams = PlaneParams()
@@ -61,7 +58,7 @@ class Variant(NamedTuple):
 
 
 def main():
-    """Run what is missing, tell and draw."""
+    """Run what is missing, print the table and draw the figure."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--theta-i", type=float, nargs="+", default=THETA_I, metavar="V")
     parser.add_argument("--only", nargs="+", choices=VARIANTS, default=VARIANTS, metavar="WHAT")
@@ -87,12 +84,10 @@ def main():
         }  # fmt: skip
         if missing:
             variant = VARIANTS[name]
-            records = variant.warp(record(variant.demonstrated, DEMONSTRATED, SEED)[0])
+            records = variant.warp(record(variant.demonstrated, DEMONSTRATED, SEED))
             for cell, (jump, v) in missing.items():
                 found[cell] = run(variant, records, jump, v, positions)
-                part = kept.with_suffix(".part")
-                part.write_text(json.dumps(found, indent=1))
-                part.replace(kept)
+                write_whole(kept, json.dumps(found, indent=1).encode())
                 print(f"{cell}: {' '.join(found[cell])}", flush=True)
     asked = {
         name: {jump: [found[key(name, jump, v)] for v in theta_i] for jump in JUMPS}
@@ -105,49 +100,50 @@ def main():
 
 
 def key(name: str, jump: str, theta_i: float) -> str:
-    """What a cell's runs are kept under."""
+    """Return the name under which the outcomes of a cell's runs are stored."""
     return f"{name}, {jump}, {theta_i:g}"
 
 
 def run(
     variant: Variant, records: Records, jump: str, theta_i: float, positions: np.ndarray
 ) -> list[str]:
-    """How a replay at each position ends."""
+    """Return the outcome of a replay at each position."""
     n = len(positions)
     params = Params(
         np.full(n, theta_i), np.full(n, 0.05), np.tile(0.1 * np.array(SENSOR_RANGES), (n, 1))
     )
     env = PlaneVectorEnv(min(SLOTS, n), variant.plane)
     seeds = [seed_of(SEED, k) for k in range(n)]
-    told = {"cube": facing(positions)}
-    return outcomes(
-        replay(records, params, env, jump, seeds, told, tracker=variant.tracker)
-    ).tolist()
+    options = {"cube": facing(positions)}
+    replays = replay(
+        records, params, env, seeds, jump=jump, options=options, tracker=variant.tracker
+    )
+    return outcomes(replays).tolist()
 
 
 def in_step(records: Records) -> Records:
-    """Demonstrations warped in time, to be in the same situation at the same moment.
+    """Warp demonstrations in time, so that all are in the same situation at the same moment.
 
-    Each is fitted to the one of median length: at each moment of that, it goes on by 0 to 3
-    samples, such that sensors and commands, as shares of their ranges, differ least in all. Tracks
-    run faster or slower for it and drive as far as before.
+    Each is aligned with the one of median length: at each moment of that one it advances by 0 to 3
+    samples, such that the sum of squared differences between sensors and commands, as shares of
+    their ranges, is least. Tracks then run faster or slower, and drive as far as before.
     """
     sensors, commands = records.sequences()
     ranges = [np.ptp(np.concatenate(rows), axis=0) for rows in (sensors, commands)]
-    told = [
+    both = [
         np.hstack([s / ranges[0], c / ranges[1]]) for s, c in zip(sensors, commands, strict=True)
     ]
-    model = told[np.argsort([len(rows) for rows in told])[len(told) // 2]]
+    model = both[np.argsort([len(rows) for rows in both])[len(both) // 2]]
     warped = [
         _warped(_fitted(rows, model), s, c)
-        for rows, s, c in zip(told, sensors, commands, strict=True)
+        for rows, s, c in zip(both, sensors, commands, strict=True)
     ]
     names = records.sensor_names, records.command_names
     return Records.from_sequences(*zip(*warped, strict=True), *names, records.period)
 
 
 def _fitted(rows: np.ndarray, model: np.ndarray) -> np.ndarray:
-    """Which of the rows goes with each of the model's, by dynamic programming."""
+    """Return the index of the row aligned with each of the model's, by dynamic programming."""
     apart = ((model[:, None] - rows) ** 2).sum(axis=2)
     usual = len(rows) / len(model)
     best, came = np.full(len(rows), np.inf), np.zeros(apart.shape, int)
@@ -165,7 +161,7 @@ def _fitted(rows: np.ndarray, model: np.ndarray) -> np.ndarray:
 
 
 def _warped(path: np.ndarray, sensors: np.ndarray, commands: np.ndarray):
-    """Sensors and commands along a path through their rows, evened over a second."""
+    """Return sensors and commands along a path through their rows, smoothed over a second."""
     rows = np.arange(len(sensors))
     padded = np.pad(path, 5, mode="edge")
     even = np.convolve(padded, np.full(11, 1 / 11), mode="valid")
@@ -179,76 +175,6 @@ def _warped(path: np.ndarray, sensors: np.ndarray, commands: np.ndarray):
     return seen, np.hstack([tracks, commands[even.round().astype(int), 2:]])
 
 
-class Plain:
-    """The filter as one would write it at first: float32, and nothing against underflow.
-
-    An observation that leaves no probability anywhere is passed over. Serves as a
-    :class:`jaxreplay.tracker.Tracker`.
-    """
-
-    def __init__(self, records: Records, params: Params, jump: str):
-        """Start B replays."""
-        n = len(params.theta_i)
-        self.records, self.jump = records, jump
-        self.command = np.zeros((n, records.n_commands))
-        self.widened, self.dropped = np.zeros(n, int), np.full(n, -np.inf)
-        self.belief = jnp.zeros((n, records.n_records, records.longest))
-        self.restart(np.ones(n, bool), params)
-
-    def restart(self, which: np.ndarray, params: Params):
-        """Begin again at the records' first samples."""
-        self.params = params
-        first = jnp.zeros_like(self.belief).at[..., 0].set(1 / self.records.n_records)
-        begun, command = _plain_predict(self.records, params, first, self.jump)
-        self.belief = jnp.where(which[:, None, None], begun, self.belief)
-        self.command[which] = np.asarray(command)[which]
-
-    def advance(self, z: np.ndarray, going: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Take in observations, and predict; log evidence and p(the end is reached)."""
-        z = self.records.centre(z)
-        belief, evidence, ended = _plain_update(self.records, self.params, self.belief, z)
-        self.belief, command = _plain_predict(self.records, self.params, belief, self.jump)
-        self.command[going] = np.asarray(command)[going]
-        return np.asarray(evidence), np.asarray(ended)
-
-
-@partial(jax.jit, static_argnames="jump")
-@partial(jax.vmap, in_axes=(None, 0, 0, None))
-def _plain_predict(records: Records, params: Params, belief: jax.Array, jump: str):
-    n, longest = belief.shape
-    last = jnp.arange(longest) == records.lengths[:, None] - 1
-    inside = jnp.arange(longest) < records.lengths[:, None]
-    stay, on = params.theta_tau, 1 - 2 * params.theta_tau
-    one, two = (jnp.pad(belief, ((0, 0), (k, 0)))[:, :longest] for k in (1, 2))
-    moved = inside * (
-        jnp.where(last, 1, stay) * belief + jnp.where(last, 1 - stay, on) * one + stay * two
-    )
-    jumping = params.theta_i / (n - 1)
-    if jump == "same_tau":
-        landed = inside * ((1 - params.theta_i) * moved + jumping * (moved.sum(axis=0) - moved))
-    else:
-        weight = belief.sum(axis=1, keepdims=True)
-        arrived = (1 - params.theta_i) * weight + jumping * (weight.sum() - weight)
-        landed = arrived * jnp.where(weight > 0, moved / weight, 0)
-    predicted = landed / landed.sum()
-    return predicted, jnp.einsum("kij,ij->k", records.commands, predicted, precision="highest")
-
-
-@jax.jit
-@partial(jax.vmap, in_axes=(None, 0, 0, 0))
-def _plain_update(records: Records, params: Params, belief: jax.Array, z: jax.Array):
-    sigma = params.sigma[:, None, None]
-    nodes = (records.nodes - z[:, None, None]) / sigma
-    cdf, point = jax.lax.optimization_barrier(((1 + erf(nodes / 2**0.5)) / 2, norm.pdf(nodes)))
-    length = jnp.diff(nodes)
-    mean = jnp.where(length == 0, point[..., 1:], jnp.diff(cdf) / length) / sigma
-    joint = reduce(mul, (mean[..., :-1] + mean[..., 1:]) / 2, belief)
-    evidence = joint.sum()
-    belief = jnp.where(evidence > 0, joint / evidence, belief)
-    at_end = jnp.arange(belief.shape[1]) >= records.lengths[:, None] - LAST_STEPS
-    return belief, jnp.log(evidence), (at_end * belief).sum()
-
-
 def _at(period: float, substeps: int) -> Variant:
     plane = PlaneParams(control_period=period, substeps=substeps)
     return Variant(plane, plane)
@@ -257,7 +183,7 @@ def _at(period: float, substeps: int) -> Variant:
 VARIANTS = {
     "as it is": Variant(),
     "demonstrations in step": Variant(warp=in_step),
-    "plain float32 filter": Variant(tracker=Plain),
+    "plain float32 filter": Variant(tracker=PlainTracker),
     "no sensor noise": Variant(replace(PlaneParams(), sensor_noise=0.0)),
     "4 times the sensor noise": Variant(replace(PlaneParams(), sensor_noise=4.0)),
     "motor unit 0.25 cm/s": Variant(replace(PlaneParams(), motor_unit=0.0025)),
@@ -267,23 +193,23 @@ VARIANTS = {
 }
 
 
-Asked = dict[str, dict[str, list[list[str]]]]  # outcomes by what is changed, reading and θ_I
+Asked = dict[str, dict[str, list[list[str]]]]  # outcomes by change, reading and θ_I
 
 
 def table(asked: Asked, theta_i: tuple[float, ...]) -> str:
-    """A row for each variant."""
+    """Return the table: a row for each variant, with S and the number of stalls."""
     heads = [f"{jump} {v:.3g}" for jump in JUMPS for v in theta_i]
     lines = [f"{'S, %, by reading and θ_I':26}" + "".join(f"{head:>18}" for head in heads)]
     for name, by_jump in asked.items():
         cells = [cell for jump in JUMPS for cell in by_jump[jump]]
         lines.append(f"{name:26}" + "".join(f"{rate(c.count('S'), len(c)):>18}" for c in cells))
         stalls = [f"Fs {c.count('Fs')}" for c in cells]
-        lines.append(" " * 26 + "".join(f"{told:>18}" for told in stalls))
+        lines.append(" " * 26 + "".join(f"{text:>18}" for text in stalls))
     return "\n".join(lines)
 
 
 def figure(asked: Asked, theta_i: tuple[float, ...], path: Path):
-    """S of each variant, with its interval; a panel for each reading."""
+    """Draw S of each variant with its interval; a panel for each reading."""
     rows = np.arange(len(asked))
     aside = np.linspace(-0.5, 0.5, len(theta_i) + 2)[1:-1] * 0.88
     with plt.rc_context({"font.size": 8, "axes.spines.top": False, "axes.spines.right": False}):

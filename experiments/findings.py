@@ -2,10 +2,10 @@
 
     python experiments/findings.py [--results results] [--large results/large]
 
-Reads the folders that `jaxreplay run experiments/NAME.toml --out FOLDER/NAME` leaves in both; the
-large ones are those of `experiments/large.sh`. What was not run is left out. Rates come with
-Wilson's 95 % intervals; means with 95 % intervals by bootstrap over positions, at which runs are
-alike.
+Reads the folders that `jaxreplay run experiments/NAME.toml --out FOLDER/NAME` wrote in both; the
+large ones are those of `experiments/large.sh`. Studies that were not run are left out. Rates come
+with Wilson's 95 % intervals; means with 95 % intervals by bootstrap over positions, since runs at
+one position resemble each other.
 """
 
 import argparse
@@ -14,12 +14,13 @@ from pathlib import Path
 
 import numpy as np
 import xarray as xr
+from scipy.stats import bootstrap
 
 import jaxreplay as jr
-from jaxreplay.plane.demonstrator import DEMONSTRATED
+from jaxreplay.figures.table import rate, short
 from jaxreplay.plane.params import PlaneParams
-from jaxreplay.study import STALLS
-from jaxreplay.table import cells, rate, short
+from jaxreplay.plane.positions import DEMONSTRATED
+from jaxreplay.study.dataset import STALLS, cells
 
 WIDE = (10**-2.05, 10**-0.45)  # the paper's range of good θ_I
 JUMPS = ("same_tau", "own_tau")
@@ -52,18 +53,18 @@ Values = Callable[[xr.Dataset], list[tuple[str, str]]]
 
 
 def by_jump(value: Callable[[xr.Dataset], str]) -> Values:
-    """Both readings of a jump."""
+    """Return a function that evaluates `value` for both readings of a jump."""
     return lambda study: [(jump, value(study.sel(jump=jump))) for jump in JUMPS]
 
 
 def successes(runs: xr.Dataset) -> str:
-    """In percent, with interval."""
+    """Return the rate of success in percent, with its interval."""
     outcome = runs.outcome.values
     return f"S {rate(np.sum(outcome == 'S'), np.sum(outcome != ''))} %"
 
 
 def within(low: float, high: float) -> Callable[[xr.Dataset], str]:
-    """Successes for θ_I in a range, each and together."""
+    """Return a function that gives S for θ_I in a range, for all together and for each."""
 
     def value(runs: xr.Dataset) -> str:
         some = runs.sel(theta_i=[v for v in runs.theta_i.values if low <= v <= high])
@@ -74,7 +75,7 @@ def within(low: float, high: float) -> Callable[[xr.Dataset], str]:
 
 
 def mean_by_theta_i(variable: str, unit: str) -> Callable[[xr.Dataset], str]:
-    """The mean of successful runs, over all θ_I, and how far its values by θ_I are apart."""
+    """Return a function that gives a variable's mean over successes, and its range over θ_I."""
 
     def value(runs: xr.Dataset) -> str:
         won = runs[variable].where(runs.outcome == "S")
@@ -88,41 +89,54 @@ def mean_by_theta_i(variable: str, unit: str) -> Callable[[xr.Dataset], str]:
 
 
 def mean(runs: xr.Dataset, variable: str) -> str:
-    """Of successful runs, with its interval by bootstrap over positions."""
-    won = runs[variable].where(runs.outcome == "S").transpose("position", ...)
-    rows = won.values.reshape(won.sizes["position"], -1)
-    rows = rows[np.isfinite(rows).any(axis=1)]
-    if len(rows) == 0:
+    """Return a variable's mean over successful runs, with its interval; "–" without a success.
+
+    Positions are resampled, each with all its runs. A single position gives no interval.
+    """
+    won = runs[variable].where(runs.outcome == "S")
+    others = [dim for dim in won.dims if dim != "position"]
+    total, count = won.sum(others).values, won.count(others).values
+    total, count = total[count > 0], count[count > 0]
+    if len(total) == 0:
         return "–"
-    rng = np.random.default_rng(0)
-    again = [np.nanmean(rows[rng.integers(len(rows), size=len(rows))]) for _ in range(1000)]
-    low, high = np.quantile(again, [0.025, 0.975])
-    return f"{np.nanmean(rows):.1f} ({low:.1f}–{high:.1f})"
+
+    def over_all(total: np.ndarray, count: np.ndarray, axis: int) -> np.ndarray:
+        return total.sum(axis=axis) / count.sum(axis=axis)
+
+    average = f"{over_all(total, count, axis=0):.1f}"
+    if len(total) == 1:
+        return average
+    low, high = bootstrap(
+        (total, count), over_all, paired=True, method="percentile", rng=np.random.default_rng(0)
+    ).confidence_interval
+    return f"{average} ({low:.1f}–{high:.1f})"
 
 
 def stalls(runs: xr.Dataset) -> str:
-    """The share of failures that are stalls, the robot fixed or in a cycle; and what kind."""
+    """Return the share of failures that are stalls, fixed or cyclic, and their kinds."""
     outcome, stall = runs.outcome.values, runs.stall.values
     failed = np.sum((outcome != "S") & (outcome != ""))
     fixed, cyclic, slow = (np.sum(stall == kind) for kind in STALLS)
-    told = f"{rate(fixed + cyclic, failed)} % of {failed} failures: fixed {fixed}, cyclic {cyclic}"
-    return f"{told}; slow {slow}" if failed else "no failure"
+    if not failed:
+        return "no failure"
+    share = f"{rate(fixed + cyclic, failed)} % of {failed} failures"
+    return f"{share}: fixed {fixed}, cyclic {cyclic}; slow {slow}"
 
 
 def how_well(runs: xr.Dataset) -> str:
-    """Success, error and duration."""
+    """Return success, alignment error and duration."""
     return f"{successes(runs)}, {mean(runs, 'alignment_error')} mm, {mean(runs, 'duration')} s"
 
 
 def by_theta_i(study: xr.Dataset) -> list[tuple[str, xr.Dataset]]:
-    """A study's runs by their θ_I, if it has more than one."""
+    """Return a study's runs by their θ_I, with a label if there is more than one."""
     if "theta_i" not in study.dims:
         return [("", study)]
     return [(f"θ_I {of['theta_i']:.2g}, ", runs) for of, runs in cells(study, ["theta_i"])]
 
 
 def with_records(study: xr.Dataset) -> list[tuple[str, str]]:
-    """By how many records, or which, are replayed."""
+    """Return success, error and duration by the records that are replayed."""
     return [
         (f"{at}{of['records']}", how_well(runs))
         for at, some in by_theta_i(study)
@@ -131,7 +145,7 @@ def with_records(study: xr.Dataset) -> list[tuple[str, str]]:
 
 
 def dithered(study: xr.Dataset) -> list[tuple[str, str]]:
-    """Success and stalls without and with dithering, by motor unit."""
+    """Return success and stalls without and with dithering, by motor unit."""
     return [
         (
             f"{100 * of['motor_unit']:g} cm/s, {short(of['dithering'])}",
@@ -142,7 +156,7 @@ def dithered(study: xr.Dataset) -> list[tuple[str, str]]:
 
 
 def charged(study: xr.Dataset) -> list[tuple[str, str]]:
-    """Success and duration by the battery's voltage."""
+    """Return success and duration by the battery's charge."""
     return [
         (f"{100 * of['battery']:.0f} %", f"{successes(runs)}, {mean(runs, 'duration')} s")
         for of, runs in cells(study, ["battery"])
@@ -150,8 +164,8 @@ def charged(study: xr.Dataset) -> list[tuple[str, str]]:
 
 
 def plateau(study: xr.Dataset) -> list[tuple[str, str]]:
-    """Success on the whole map, where it is flat, and by the worst of its cells there."""
-    told = []
+    """Return success over the whole map and over its flat part, and of the worst cell in each."""
+    found = []
     for name, theta_i, theta_tau, low, high in (
         ("all cells", 1, 1, 0, 1),
         ("θ_I ≤ 10^-1.5, θ_τ ≤ 0.05, σ 0.02–0.22", 10**-1.4, 0.05, 0.02, 0.22),
@@ -160,12 +174,12 @@ def plateau(study: xr.Dataset) -> list[tuple[str, str]]:
         flat = study.sel(theta_i=study.theta_i <= theta_i, theta_tau=study.theta_tau <= theta_tau)
         flat = flat.sel(sigma=(flat.sigma >= low) & (flat.sigma <= high))
         worst = (flat.outcome == "S").mean(["position", "repeat"]).min().item()
-        told.append((name, f"{successes(flat)}, no cell below {100 * worst:.0f} %"))
-    return told
+        found.append((name, f"{successes(flat)}, no cell below {100 * worst:.0f} %"))
+    return found
 
 
 def noisy(study: xr.Dataset) -> list[tuple[str, str]]:
-    """Success by σ, for each noise of the sensors."""
+    """Return success by σ, for each noise of the sensors."""
     return [
         (
             f"{of['sensor_noise']:g} × the noise",
@@ -176,7 +190,7 @@ def noisy(study: xr.Dataset) -> list[tuple[str, str]]:
 
 
 def lit(study: xr.Dataset) -> list[tuple[str, str]]:
-    """Without and with a sensor of the light in the room."""
+    """Return success, error and duration without and with a sensor of the room's light."""
     return [
         (f"{at}light {short(of['light'])}", how_well(runs))
         for at, some in by_theta_i(study)
@@ -185,7 +199,7 @@ def lit(study: xr.Dataset) -> list[tuple[str, str]]:
 
 
 def around(study: xr.Dataset) -> list[tuple[str, str]]:
-    """Success where cubes were demonstrated, and elsewhere, in and out of the camera's sight."""
+    """Return success in the demonstrated area, and outside it, in and out of the camera's sight."""
     x, y = study.cube_x, study.cube_y
     (low_x, low_y), (high_x, high_y) = DEMONSTRATED.min(axis=0), DEMONSTRATED.max(axis=0)
     inside = (x >= low_x) & (x <= high_x) & (y >= low_y) & (y <= high_y)
@@ -234,9 +248,9 @@ CLAIMS: tuple[tuple[str, str, str, Values], ...] = (
     ("dithering alleviates the stalls", "a guess", "dithering", dithered),
     ("a full battery is best", "observed", "battery", charged),
     ("one wide range of parameters does", "7 values of θ_I", "grid", plateau),
-    ("σ is semantics, not noise", "said", "noise", noisy),
-    ("a sensor without a part in it disturbs", "feared", "light", lit),
-    ("it cannot extrapolate", "said", "outside", around),
+    ("σ is semantics, not noise", "stated", "noise", noisy),
+    ("a sensor without relevance to the task disturbs", "feared", "light", lit),
+    ("it cannot extrapolate", "stated", "outside", around),
 )
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 #!/bin/sh
-# Every experiment in its large size, some two hours on two cores. Given again, it goes on where it
-# was stopped; options are those of `jaxreplay run`.
+# Run every experiment in its large size: some two hours on two cores. Run again, it continues where
+# it was stopped; options are those of `jaxreplay run`.
 #
 #     sh experiments/large.sh --workers 2
 #

@@ -1,20 +1,20 @@
-"""Does a replay count the laps of a loop, and can it drive more than were shown?
+"""Does a replay count the laps of a loop, and can it drive more laps than were demonstrated?
 
     python experiments/loop.py [--repeats 15] [--out results/loop]
 
 § 4: "our model is not explicitly able to handle loops, although practically it might be (up to a
-certain point) due to the non-zero probability of past time steps". Here a point robot is shown
-how to drive some laps around a circle and then leave to a goal. What it sees, its position and a
-lamp, is the same in each lap: only the filter's memory of τ tells laps apart.
+certain point) due to the non-zero probability of past time steps". Here demonstrations show a point
+robot how to drive some laps around a circle and then leave to a goal (`circle.py`). Its sensors are
+the same in each lap: only the filter's memory of τ distinguishes laps.
 
-Asked is, first, how often it drives the laps shown: by their number, θ_I, θ_τ and σ, with more
-noise, with demonstrations that differ in speed, start or laps, and when it is held or carried
-along the circle on the way. Then, where a lamp lit half a lap before tells when to leave,
-how often it drives the laps which that takes, though other numbers were shown, and how far it gets
-off the circle meanwhile.
+The first question is how often the robot drives as many laps as were shown: by their number, θ_I,
+θ_τ and σ, with more noise, with demonstrations that differ in speed, start or laps, and when it is
+held or carried along the circle on the way. The second: where a lamp lit half a lap before signals
+when to leave, how often does it drive the laps which that requires, though other numbers were
+shown, and how far does it get off the circle meanwhile?
 
-Each run of a cell follows 8 demonstrations of its own, so that its runs are independent, as
-Wilson's interval assumes; cells that were shown the same share them.
+Each run of a cell replays 8 demonstrations of its own, so that its runs are independent, as
+Wilson's interval assumes; cells with the same demonstrations share them.
 """
 
 import argparse
@@ -23,38 +23,22 @@ from itertools import chain, product
 from pathlib import Path
 from typing import NamedTuple
 
-import gymnasium
 import matplotlib.pyplot as plt
 import numpy as np
-from gymnasium.vector import AutoresetMode, VectorEnv
+from circle import LAP, Circle, Shown, demonstrate, options
 from tqdm import tqdm
 
-from jaxreplay import Params, Records
+from jaxreplay import Params
+from jaxreplay.figures.table import wilson
+from jaxreplay.loop.replay import replay
 from jaxreplay.machine import cores, keep_compiled
-from jaxreplay.replay import replay
-from jaxreplay.table import wilson
 
-N, LONGEST = 8, 400  # records, and samples of each: one shape, one compiled program
-PERIOD, RADIUS, LAP = 0.1, 0.5, 30  # s, m, samples a lap at the usual speed
-SPEED = 2 * np.pi * RADIUS / (LAP * PERIOD)  # m/s
-GOAL, ARRIVED, AREA = 1.5, 0.2, 2.5  # m
-SENSOR_NOISE, MOTOR_NOISE = 0.02, 0.1 * SPEED  # standard deviations a step: m, m/s
 LAMP = 0.1  # σ of the lamp, which is 0 or 1
-STEPS = 420  # in which it must be at the goal
 JUMPS = ("same_tau", "own_tau")
 
 
-class Shown(NamedTuple):
-    """What is demonstrated."""
-
-    laps: tuple[int, ...]  # in turn
-    speeds: float = 0.1  # speeds are within this share of the usual one
-    starts: float = 0.2  # starts are within this angle of where the circle is left, rad
-    lamp: bool = False  # whether a lamp is lit half a lap before leaving
-
-
 class Cell(NamedTuple):
-    """What runs have in common."""
+    """What the runs of a cell have in common."""
 
     shown: Shown
     jump: str
@@ -64,104 +48,19 @@ class Cell(NamedTuple):
     noise: float = 1.0  # times the demonstrations'
     held: int = 0  # samples, after one and a half laps
     carried: float = 0.0  # laps along the circle, after one and a half
-    wanted: int = 0  # laps that the lamp tells, if any
+    wanted: int = 0  # laps that the lamp asks for, if any
 
     def laps(self) -> tuple[int, ...]:
-        """Those that are right."""
+        """Return the numbers of laps that are right."""
         return (self.wanted,) if self.shown.lamp else self.shown.laps
 
 
-class Circle(VectorEnv):
-    """Point robots on the complex plane, told a velocity; each sees its position and a lamp."""
-
-    metadata = {"autoreset_mode": AutoresetMode.DISABLED}  # noqa: RUF012 - as in Gymnasium
-
-    def __init__(self, slots: int):
-        """So many robots."""
-        self.num_envs = slots
-        self.single_observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (3,))
-        self.single_action_space = gymnasium.spaces.Box(-np.inf, np.inf, (2,))
-        self.position = np.ones(slots, complex)
-        self.angle, self.off, self.t, self.held = np.zeros((4, slots))
-        self.disturbed, self.resting = np.zeros((2, slots), bool)
-        self.noise = np.zeros((slots, STEPS, 4))
-
-    def reset(self, *, seed, options):
-        """Place robots near the circle, `start` rad after where it is left."""
-        for b in np.flatnonzero(options["reset_mask"]):
-            self.resting[b] = seed[b] is None
-            if not self.resting[b]:
-                rng = np.random.default_rng(seed[b])
-                self.noise[b] = options["noise"][b] * rng.normal(size=(STEPS, 4))
-                self.angle[b], self.held[b] = options["start"][b], options["held"][b]
-                self.position[b] = RADIUS * rng.uniform(0.9, 1.1) * np.exp(1j * self.angle[b])
-                self.t[b], self.off[b], self.disturbed[b] = 0, 0, False
-        self.options = options
-        return np.zeros((self.num_envs, 3)), {}
-
-    def step(self, actions):
-        """Drive a step.
-
-        It tells laps around the centre, whether a robot is at the goal, and how far off the
-        circle it was, at most, before its last half lap.
-        """
-        now = np.minimum(self.t, STEPS - 1).astype(int)
-        noise = self.noise[np.arange(self.num_envs), now]
-        half_way = self.angle >= 3 * np.pi
-        held = half_way & (self.held > 0)
-        carried = np.where(half_way & ~self.disturbed, 2 * np.pi * self.options["carried"], 0)
-        self.held -= held
-        self.disturbed |= half_way
-        velocity = (actions + MOTOR_NOISE * noise[:, :2]) @ [1, 1j]
-        moved = self.position + PERIOD * np.where(held, 0, velocity)
-        self.angle += np.angle(moved / self.position) + carried
-        self.position = moved * np.exp(1j * carried)
-        self.t += 1
-
-        distance = np.abs(self.position)
-        last = self.angle >= 2 * np.pi * (self.options["wanted"] - 0.5)
-        self.off = np.where(last, self.off, np.maximum(self.off, np.abs(distance - RADIUS)))
-        x, y = self.position.real, self.position.imag
-        seen = np.stack([x, y, last & self.options["lamp"]], axis=1)
-        seen[:, :2] += SENSOR_NOISE * noise[:, 2:]
-        arrived = np.abs(self.position - GOAL) < ARRIVED
-        over = arrived | (distance > AREA)
-        info = {"laps": self.angle / (2 * np.pi), "arrived": arrived, "off": self.off}
-        return seen, np.zeros(len(seen)), over, self.t >= STEPS, info
-
-
-def options(n: int, **told) -> dict[str, np.ndarray]:
-    """For n runs, whatever is not told left out."""
-    usual = {"start": 0.0, "noise": 1.0, "held": 0, "carried": 0.0}
-    return {name: np.broadcast_to(value, n) for name, value in (usual | told).items()}
-
-
-def demonstrate(shown: Shown, rng: np.random.Generator) -> Records:
-    """Laps and the way to the goal, N times; each recorded on until all have one length."""
-    laps = np.resize(shown.laps, N)
-    speed = SPEED * (1 + shown.speeds * rng.uniform(-1, 1, N))
-    start = shown.starts * rng.uniform(-1, 1, N)
-    env, left = Circle(N), np.zeros(N, bool)
-    told = options(N, start=start, wanted=laps, lamp=shown.lamp)
-    seeds = rng.integers(2**32, size=N)
-    env.reset(seed=seeds, options=told | {"reset_mask": np.ones(N, bool)})
-    sensors, commands = np.zeros((N, LONGEST, 3)), np.zeros((N, LONGEST, 2))
-    for t in range(LONGEST):
-        distance, way = np.abs(env.position), GOAL - env.position
-        around = speed * env.position / distance * (1j + 2 * (1 - distance / RADIUS))
-        ahead = way / np.abs(way) * np.minimum(speed, np.abs(way) / PERIOD / 2)
-        left |= env.angle >= 2 * np.pi * laps
-        command = np.where(left, ahead, around)
-        commands[:, t] = np.stack([command.real, command.imag], axis=1)
-        sensors[:, t], *_ = env.step(commands[:, t])
-    return Records.from_sequences(list(sensors), list(commands), period=PERIOD)
-
-
 def drive(task: tuple[list[Cell], int]) -> dict[Cell, tuple[float, float]]:
-    """Once each of the cells that share what is shown.
+    """Do one run of each of the cells that share demonstrations.
 
     Returns:
-        Laps driven, NaN if it never came to the goal, and how far it got off the circle.
+        For each cell laps driven, NaN if the robot never reached the goal, and the largest
+        distance from the circle before the last half lap, in m.
     """
     cells, repeat = task
     shown, found = cells[0].shown, {}
@@ -176,9 +75,9 @@ def drive(task: tuple[list[Cell], int]) -> dict[Cell, tuple[float, float]]:
             records,
             Params(of["theta_i"], of["theta_tau"], sigma),
             Circle(n),
-            jump,
             [int(seed) for seed in rng.integers(2**32, size=n)],
-            options(
+            jump=jump,
+            options=options(
                 n, noise=of["noise"], held=of["held"], carried=of["carried"], lamp=shown.lamp,
                 wanted=[min(c.laps()) for c in some],
             ),
@@ -218,12 +117,12 @@ WANTED = range(1, 7)
 
 
 def questions() -> dict[str, list[Cell]]:
-    """The table's rows."""
+    """Return the cells of each row of the table."""
     laps = {f"{k} lap{'s' * (k > 1)}": (Shown((k,)), {}, THETA_I) for k in (1, 2, 4, 8)}
     conditions = {name: (EIGHT, what, FEW) for name, what in CONDITIONS.items()}
     shown = {name: (what, {}, FEW) for name, what in SHOWN.items()}
     lamps = {
-        f"{name} shown, told {m}": (what, {"wanted": m}, FEW)
+        f"{name} shown, lamp: {m}": (what, {"wanted": m}, FEW)
         for name, what in LAMPS.items()
         for m in WANTED
     }
@@ -234,7 +133,7 @@ def questions() -> dict[str, list[Cell]]:
 
 
 def run(repeats: int) -> dict[Cell, np.ndarray]:
-    """All cells: `[repeats, 2]` laps and distances of each."""
+    """Run all cells; return laps and distances of each, `[repeats, 2]`."""
     alike = {}
     for cell in chain(*questions().values()):
         alike.setdefault(cell.shown, []).append(cell)
@@ -248,13 +147,16 @@ def run(repeats: int) -> dict[Cell, np.ndarray]:
     return {cell: np.array(driven) for cell, driven in found.items()}
 
 
+LEGEND = """\
+Of {} runs each, how many were right: at the goal, after as many laps as were shown, or as the lamp
+asked for; and Wilson's 95 % interval, %. Of all θ_I together: how many drove fewer or more, or were
+lost (never reached the goal); and off: the largest distance of a right run from the circle before
+its last half lap, m, the median."""
+
+
 def print_table(found: dict[Cell, np.ndarray]):
-    """For each reading a row for each question, and how many runs were right at each θ_I."""
-    n = len(next(iter(found.values())))
-    print(f"Of {n} runs each, how many were right: at the goal, after laps that were shown, or as")
-    print("many as the lamp told; and Wilson's 95 % interval, %. Of all θ_I together: how many")
-    print("drove fewer or more, or were lost, that is, never at the goal; and how far the right")
-    print("ones got off the circle before their last half lap, m, the median.")
+    """Print, for each reading, a row for each question: how many runs were right at each θ_I."""
+    print(LEGEND.format(len(next(iter(found.values())))))
     for jump in JUMPS:
         print(f"\n{jump:34}" + "".join(f"{f'θ_I {t:.3g}':>14}" for t in THETA_I), end="")
         print(f"{'fewer':>7}{'more':>6}{'lost':>6}{'off':>6}")
@@ -273,19 +175,19 @@ def print_table(found: dict[Cell, np.ndarray]):
     for jump in JUMPS:
         some = [found[c][:, 0] for c in questions()["3, 4 or 5 laps"] if c.jump == jump]
         laps, runs = np.unique(some, return_counts=True)
-        told = (f"{k:g}: {m}" for k, m in zip(laps, runs, strict=True) if k == k)
-        print(f"{jump:9}" + ", ".join([*told, f"lost: {np.isnan(some).sum()}"]))
+        counts = (f"{k:g}: {m}" for k, m in zip(laps, runs, strict=True) if k == k)
+        print(f"{jump:9}" + ", ".join([*counts, f"lost: {np.isnan(some).sum()}"]))
 
 
 def rate(cell: Cell, found: dict[Cell, np.ndarray]) -> tuple[int, float, float]:
-    """How many runs drove the right number of laps and came to the goal; the rate's interval."""
+    """Return how many runs drove the right laps to the goal, and the rate's interval."""
     laps = found[cell][:, 0]
     right = int(np.isin(laps, cell.laps()).sum())
     return right, *wilson(right, len(laps))
 
 
 def draw(found: dict[Cell, np.ndarray], folder: Path):
-    """Rates of right runs; saved as PNG and PDF."""
+    """Draw rates of right runs, and save them as PNG and PDF."""
     what = f"right number of laps, % of {len(next(iter(found.values())))} runs"
     asked = {name: cells for name, cells in questions().items() if not cells[0].shown.lamp}
     with plt.rc_context({"font.size": 9, "axes.spines.top": False, "axes.spines.right": False}):
@@ -305,8 +207,8 @@ def draw(found: dict[Cell, np.ndarray], folder: Path):
             for jump, theta_i in product(JUMPS, (FEW[0], FEW[2])):
                 cells = [Cell(LAMPS[name], jump, theta_i, wanted=m) for m in WANTED]
                 rates(axes, WANTED, cells, found)
-            axes.set(ylim=(-3, 103), xlabel="laps the lamp tells (grey: shown)", ylabel=what)
-            axes.set_title(f"As many laps as a lamp tells, {name} shown", loc="left", fontsize=9)
+            axes.set(ylim=(-3, 103), xlabel="laps the lamp asks for (grey: shown)", ylabel=what)
+            axes.set_title(f"As many laps as a lamp asks for, {name} shown", loc="left", fontsize=9)
         lamps[1].legend(frameon=False, fontsize=8, loc="lower left", bbox_to_anchor=(0.2, 0))
         folder.mkdir(parents=True, exist_ok=True)
         for suffix in ("png", "pdf"):
@@ -315,7 +217,7 @@ def draw(found: dict[Cell, np.ndarray], folder: Path):
 
 
 def rates(axes: plt.Axes, at: range, cells: list[Cell], found: dict, lying: bool = False):
-    """Points and intervals of cells that differ in one thing; lying, or joined by a line."""
+    """Draw points and intervals of cells that differ in one thing; lying, or joined by a line."""
     jump, theta_i = cells[0].jump, cells[0].theta_i
     right, low, high = np.array([rate(cell, found) for cell in cells]).T
     p = right / len(found[cells[0]])
@@ -333,17 +235,17 @@ def rates(axes: plt.Axes, at: range, cells: list[Cell], found: dict, lying: bool
 
 
 def main():
-    """Drive, print, draw."""
+    """Run all cells, print the table and draw the figure."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--repeats", type=int, default=15, help="runs a cell")
     parser.add_argument("--out", type=Path, default=Path("results/loop"), metavar="DIR")
-    told = parser.parse_args()
-    if told.repeats < 1:
+    given = parser.parse_args()
+    if given.repeats < 1:
         parser.error("--repeats must be at least 1")
     keep_compiled()
-    found = run(told.repeats)
+    found = run(given.repeats)
     print_table(found)
-    draw(found, told.out)
+    draw(found, given.out)
 
 
 if __name__ == "__main__":

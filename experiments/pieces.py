@@ -1,14 +1,15 @@
-"""How many records is a run pieced together from, and when in the run does it switch?
+"""From how many records is a run pieced together, and when in the run does it switch?
 
     python experiments/pieces.py [--set KEY=VALUE]… [--out results/pieces]
 
 The paper believes that a large θ_I does best "because our training runs essentially differ at the
 beginning": a run can pick the record that fits, and jump on to others later. So the runs of its
 Figure 3 are done again, under `own_tau` unless another reading is set; the record followed at each
-step is the likeliest one, p(I_t | Z_1:t). A piece is a stretch of at least a second that follows
-one record. The table tells, for each θ_I, how many pieces a run has and how many records they come
-from, and how the switches between pieces are spread over the run; the figure adds how far
-demonstrations differ, by how much of them is over. Intervals are 95 %, by bootstrap over runs.
+step is the most probable one, p(I_t | Z_1:t). A piece is a stretch of at least a second that
+follows one record. The table lists, for each θ_I, the pieces a run has, the records they come from,
+and how the switches between pieces are distributed over the run; the figure adds how far
+demonstrations differ, over the share of them that has passed. Intervals are 95 %, by bootstrap
+over runs.
 """
 
 import argparse
@@ -19,16 +20,18 @@ import jax
 import jax.numpy as jnp
 import matplotlib.pyplot as plt
 import numpy as np
+from scipy.stats import bootstrap
 
-from jaxreplay.config import load_config
-from jaxreplay.figures import write
+from jaxreplay.figures.outcomes import write
 from jaxreplay.filter import build_filter
 from jaxreplay.machine import keep_compiled
 from jaxreplay.params import Params
 from jaxreplay.plane.params import SENSOR_NAMES, SENSOR_RANGES, PlaneParams
 from jaxreplay.records import Records
-from jaxreplay.runs import records_of, runs_of, setting, shards_of
-from jaxreplay.study import demonstrations, outcomes, replays_of
+from jaxreplay.study.config import load_config
+from jaxreplay.study.demonstrations import demonstrations
+from jaxreplay.study.runs import records_of, runs_of, settings_of, shards_of
+from jaxreplay.study.shard import outcomes, replays_of
 
 STUDY = Path(__file__).with_name("theta_i.toml")
 PIECE = 1.0  # s
@@ -36,9 +39,11 @@ THIRDS = 3
 
 
 def main():
-    """Run, tell and draw."""
+    """Run, print the table and draw the figure."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--set", action="append", default=[], help="as `jaxreplay run` takes it")
+    parser.add_argument(
+        "--set", action="append", default=[], metavar="KEY=VALUE", help="as of `jaxreplay run`"
+    )
     parser.add_argument("--out", type=Path, default=Path("results/pieces"))
     options = parser.parse_args()
     keep_compiled()
@@ -49,7 +54,7 @@ def main():
     for which in shards_of(runs, 56):
         ours = runs.of(which)
         replays = replays_of(config, records, ours, range(len(ours)))
-        params, *_ = setting(config, ours)
+        params, *_ = settings_of(config, ours)
         theirs = records_of(config, records, ours)
         won[which] = outcomes(replays) == "S"
         for k, run in enumerate(which):
@@ -65,7 +70,7 @@ def main():
 
 
 def followed(records: Records, params: Params, jump: str, seen: np.ndarray) -> np.ndarray:
-    """`[T]` the likeliest record after each observation."""
+    """Return the most probable record after each observation, `[T]`."""
     longest = PlaneParams().max_steps  # one shape, so that one program serves all runs
     filled = np.full((longest, seen.shape[1]), np.nan)
     filled[: len(seen)] = records.centre(seen)
@@ -84,7 +89,7 @@ def _followed(records, params, z, jump):
 
 
 def pieces_of(record: np.ndarray) -> np.ndarray:
-    """The pieces of a run, `[n, 3]`: record, and where in the run it begins and ends, as shares."""
+    """Return a run's pieces, `[n, 3]`: record, and begin and end as shares of the run."""
     starts = np.flatnonzero(np.diff(record, prepend=-1))
     ends = np.append(starts[1:], len(record))
     long = ends - starts >= round(PIECE / PlaneParams().control_period)
@@ -94,19 +99,22 @@ def pieces_of(record: np.ndarray) -> np.ndarray:
 
 
 def switches_of(pieces: np.ndarray) -> np.ndarray:
-    """When in the run it goes from one piece to the next, as shares of it."""
+    """Return when the run goes from one piece to the next, as shares of it."""
     return pieces[1:, 1]
 
 
-def interval(values: np.ndarray, of=np.mean) -> tuple[float, float, float]:
-    """A statistic with its 95 % interval by bootstrap."""
-    rng = np.random.default_rng(0)
-    again = [of(values[rng.integers(len(values), size=len(values))]) for _ in range(1000)]
-    return (of(values), *np.quantile(again, [0.025, 0.975]))
+def mean_and_interval(values: np.ndarray) -> tuple[float, float, float]:
+    """Return the mean with its 95 % interval by bootstrap; NaN as interval of a single value."""
+    if len(values) < 2:
+        return float(values.mean()), np.nan, np.nan
+    interval = bootstrap(
+        (values,), np.mean, method="percentile", rng=np.random.default_rng(0)
+    ).confidence_interval
+    return float(values.mean()), float(interval.low), float(interval.high)
 
 
 def table(theta_i: np.ndarray, won: np.ndarray, pieces: list[np.ndarray]) -> str:
-    """A row for each θ_I."""
+    """Return the table: a row for each θ_I."""
     lines = [
         f"{'θ_I':>9}{'runs':>6}{'S':>6}{'pieces a run':>22}{'records a run':>22}"
         f"{'switches in the first, second, last third':>44}"
@@ -115,31 +123,25 @@ def table(theta_i: np.ndarray, won: np.ndarray, pieces: list[np.ndarray]) -> str
         these = np.flatnonzero(theta_i == value)
         row = f"{value:9.3g}{len(these):6d}{won[these].sum():6d}"
         for count in (len, lambda p: len(set(p[:, 0]))):
-            row += told(interval(np.array([count(pieces[k]) for k in these])), 22)
+            mean, low, high = mean_and_interval(np.array([count(pieces[k]) for k in these]))
+            row += f"{mean:.1f} [{low:.1f}, {high:.1f}]".rjust(22)
         when = np.concatenate([switches_of(pieces[k]) for k in these])
         thirds = np.histogram(when, np.linspace(0, 1, THIRDS + 1))[0] / max(len(when), 1)
         lines.append(row + ", ".join(f"{share:.0%}" for share in thirds).rjust(44))
     return "\n".join(lines)
 
 
-def told(interval: tuple[float, float, float], width: int) -> str:
-    """A mean and its interval."""
-    mean, low, high = interval
-    return f"{mean:.1f} [{low:.1f}, {high:.1f}]".rjust(width)
-
-
 def figure(theta_i, won, pieces, records: Records, path: Path):
-    """Pieces against θ_I, switches over the run, and how demonstrations differ."""
+    """Draw pieces against θ_I, switches over the run, and how demonstrations differ."""
     values = list(dict.fromkeys(theta_i))
     with plt.rc_context({"font.size": 8, "axes.spines.top": False, "axes.spines.right": False}):
         drawn, (left, middle, right) = plt.subplots(1, 3, figsize=(8, 2.7), layout="constrained")
         for name, which, style in (("S", won, "o-"), ("not S", ~won, "s--")):
-            means = [
-                interval(np.array([len(pieces[k]) for k in np.flatnonzero((theta_i == v) & which)]))
-                if ((theta_i == v) & which).any()
-                else (np.nan,) * 3
+            counts = [
+                np.array([len(pieces[k]) for k in np.flatnonzero((theta_i == v) & which)])
                 for v in values
             ]
+            means = [mean_and_interval(c) if len(c) else (np.nan,) * 3 for c in counts]
             mean, low, high = np.array(means).T
             left.errorbar(
                 range(len(values)), mean, [mean - low, high - mean], fmt=style, capsize=2,
@@ -158,7 +160,7 @@ def figure(theta_i, won, pieces, records: Records, path: Path):
         at = np.linspace(0, 100, spread.shape[1])
         right.plot(at, spread[0], "k-", label=SENSOR_NAMES[0])
         right.plot(at, spread[1:].mean(axis=0), "k--", label="proximeters' mean")
-        right.set_xlabel("how much of it is over, %")
+        right.set_xlabel("share of the demonstration that has passed, %")
         right.set_ylabel("spread of demonstrations,\nshare of a sensor's range")
         right.set_ylim(0, None)
         right.legend(frameon=False, loc="lower center", bbox_to_anchor=(0.5, 1), ncols=2)
@@ -167,7 +169,7 @@ def figure(theta_i, won, pieces, records: Records, path: Path):
 
 
 def spreads(records: Records) -> np.ndarray:
-    """`[n_s, 101]` standard deviation over the records, at the same share of each."""
+    """Return the standard deviation over records at the same share of each, `[n_s, 101]`."""
     at = [
         rows[np.linspace(0, len(rows) - 1, 101).round().astype(int)]
         for rows in records.sequences()[0]

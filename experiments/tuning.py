@@ -2,13 +2,13 @@
 
     python experiments/tuning.py [results/grid] [--held-out 4] [--out results/tuning]
 
-Takes a finished study over θ_I, θ_τ and σ, such as that of `experiments/grid.toml`, whose cells
-tell how often a robot succeeds with such parameters. Each cell's parameters are also scored
+Takes a finished study over θ_I, θ_τ and σ, such as that of `experiments/grid.toml`, in which each
+cell has the success rate of a robot with such parameters. Each cell's parameters are also scored
 without any robot: some of the demonstrations are left out in turn and filtered with the others,
 which gives the error of the predicted commands and the log evidence of what was observed (see
-`jaxreplay.tuning.leave_one_out`; `jaxreplay tune` climbs one or the other). Told is how each score
-ranks the cells, compared with their success, and how often the cell succeeds that each score picks.
-Cells that are not run yet are skipped.
+`jaxreplay.recordings.scores`; `jaxreplay tune` climbs one or the other). The table compares how
+each score ranks the cells with how success ranks them, and lists the success of the cell that each
+score picks. Cells without a finished run are skipped.
 """
 
 import argparse
@@ -19,15 +19,22 @@ from typing import NamedTuple
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.colors import LogNorm
-from scipy.stats import ConstantInputWarning, spearmanr
+from scipy.stats import (
+    ConstantInputWarning,
+    DegenerateDataWarning,
+    bootstrap,
+    pearsonr,
+    rankdata,
+)
 from tqdm import tqdm
 
+from jaxreplay.figures.table import rate, short
 from jaxreplay.machine import keep_compiled
 from jaxreplay.params import Params
-from jaxreplay.runs import records_of, runs_of, setting
-from jaxreplay.study import config_of, demonstrations, open_study
-from jaxreplay.table import rate, short
-from jaxreplay.tuning import leave_one_out
+from jaxreplay.recordings.scores import leave_one_out
+from jaxreplay.study.demonstrations import demonstrations
+from jaxreplay.study.open import config_of, open_study
+from jaxreplay.study.runs import records_of, runs_of, settings_of
 
 RESAMPLES = 2000
 
@@ -40,8 +47,8 @@ class Cells(NamedTuple):
         sigma: `[C]` σ as a share of the sensors' ranges.
         won: `[C]` successes.
         runs: `[C]` runs finished.
-        scores: of each, `[C]` and the larger the better: log evidence a time step, and minus the
-            error of predicted commands in % of their ranges.
+        scores: by name, `[C]` each, the larger the better: log evidence per time step, and minus
+            the error of predicted commands in % of their ranges.
     """
 
     params: Params
@@ -52,7 +59,7 @@ class Cells(NamedTuple):
 
 
 def main():
-    """Score, tell and draw."""
+    """Score, print the table and draw the figure."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("study", type=Path, nargs="?", default=Path("results/grid"))
     parser.add_argument("--held-out", type=int, default=4, help="demonstrations (default: 4)")
@@ -73,11 +80,13 @@ def main():
 
 
 def scored(folder: Path, held_out: int) -> Cells:
-    """The cells of the study in a folder, scored by demonstrations spread over them all."""
+    """Score the cells of the study in a folder, by held-out demonstrations spread over all."""
     study = open_study(folder)
     config = config_of(study)
     if apart := {"jump", "light", "records"} & config.axes.keys():
-        raise ValueError(f"{folder}: its cells differ in {', '.join(apart)}; scores would not tell")
+        raise ValueError(
+            f"{folder}: its cells differ in {', '.join(apart)}, so their scores cannot be compared"
+        )
     runs = runs_of(config)
     first = runs.of(np.flatnonzero((runs.position == 0) & (runs.repeat == 0)))  # of each cell
     outcome = study.outcome.values.reshape(len(first), -1)
@@ -85,7 +94,7 @@ def scored(folder: Path, held_out: int) -> Cells:
     if len(done) == 0:
         raise ValueError(f"{folder}: none of its runs is finished")
     first, outcome = first.of(done), outcome[done]
-    params, *_ = setting(config, first)
+    params, *_ = settings_of(config, first)
     records = records_of(config, demonstrations(config, folder), first)
     chosen = np.unique(np.linspace(0, records.n_records - 1, held_out).round().astype(int))
     with tqdm(desc=f"{len(done)} cells", unit="step", disable=None) as bar:
@@ -108,7 +117,7 @@ def scored(folder: Path, held_out: int) -> Cells:
 
 
 def report(cells: Cells) -> str:
-    """How well scores rank the cells, and what they pick."""
+    """Return the table: how well scores rank the cells, and which cells they pick."""
     success = cells.won / cells.runs
     lines = [
         f"{len(success)} cells, of {cells.runs.min()} to {cells.runs.max()} runs each",
@@ -128,7 +137,7 @@ def report(cells: Cells) -> str:
             "",
             "ρ: Spearman's, between score and success over the cells; 1 if the score ranks them as",
             "success does (a small error ranks high). Its interval: bootstrap over cells. S: with",
-            "Wilson's 95 % interval; the best of many cells is so in part by luck.",
+            "Wilson's 95 % interval; the best of many cells is the best in part by luck.",
         ]
     )
 
@@ -140,20 +149,30 @@ def _cell(cells: Cells, k: int) -> str:
 
 
 def correlation(score: np.ndarray, success: np.ndarray) -> tuple[float, float, float]:
-    """Spearman's ρ and its 95 % interval; NaN where all cells are alike."""
-    rng = np.random.default_rng(0)
-    n = len(score)
-    which = [np.arange(n), *rng.integers(n, size=(RESAMPLES, n))]
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ConstantInputWarning)
-        rho, *again = (spearmanr(score[k], success[k]).statistic for k in which)
-    if np.isnan(rho):
+    """Return Spearman's ρ and its 95 % interval by bootstrap; NaN where all cells are alike.
+
+    Resamples of cells that are all alike have no ρ and are left out.
+    """
+    if len(np.unique(score)) < 2 or len(np.unique(success)) < 2:
         return np.nan, np.nan, np.nan
-    return (rho, *np.nanquantile(again, [0.025, 0.975]))
+    with warnings.catch_warnings():
+        for of_such_resamples in (ConstantInputWarning, DegenerateDataWarning):
+            warnings.simplefilter("ignore", of_such_resamples)
+        resampled = bootstrap(
+            (score, success), spearman, paired=True, method="percentile", n_resamples=RESAMPLES,
+            rng=np.random.default_rng(0),
+        )  # fmt: skip
+    low, high = np.nanquantile(resampled.bootstrap_distribution, [0.025, 0.975])
+    return float(spearman(score, success)), float(low), float(high)
+
+
+def spearman(x: np.ndarray, y: np.ndarray, axis: int = -1) -> np.ndarray:
+    """Return Spearman's ρ along an axis: Pearson's correlation of the ranks."""
+    return pearsonr(rankdata(x, axis=axis), rankdata(y, axis=axis), axis=axis).statistic
 
 
 def figure(cells: Cells, path: Path):
-    """Success against each score, a point for each cell."""
+    """Draw success against each score, a point for each cell."""
     success = 100 * cells.won / cells.runs
     shown = {
         "log evidence": (1, "log evidence a time step"),

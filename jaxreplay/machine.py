@@ -1,26 +1,52 @@
-"""The machine this runs on."""
+"""The machine this runs on: its cores, its disk, and JAX's cache of compiled programs."""
 
 import os
 from pathlib import Path
 
-import jax
 
+def keep_compiled() -> None:
+    """Store compiled programs in the user's cache, unless JAX is configured otherwise.
 
-def keep_compiled():
-    """Keep what JAX compiles in the user's cache, unless they have told it another place."""
-    if jax.config.jax_compilation_cache_dir is not None:
+    The folder is `$XDG_CACHE_HOME/jaxreplay`, or `~/.cache/jaxreplay`. Where it cannot be made,
+    programs are compiled anew in each process.
+    """
+    import jax
+
+    if jax.config.jax_compilation_cache_dir is not None:  # pyright: ignore[reportAttributeAccessIssue]
         return
     try:
         cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "jaxreplay"
         cache.mkdir(parents=True, exist_ok=True)
-    except (OSError, RuntimeError):  # the latter from a user without a home
-        return  # compiled anew each time then
+    except (OSError, RuntimeError):  # RuntimeError: the user has no home folder
+        return
     jax.config.update("jax_compilation_cache_dir", str(cache))
+    # JAX stores only programs that took over 1 s to compile; ours take 0.1–2 s each.
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
 
 
 def cores() -> int:
-    """How many this process may use."""
+    """Return the number of processor cores that this process may use."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
+
+
+def write_whole(path: str | Path, content: bytes) -> None:
+    """Write a file completely or not at all: a reader never finds part of it.
+
+    The content goes to `PATH.part` first, which then takes the place of `PATH`.
+
+    Raises:
+        OSError: the file cannot be written; what stood at `PATH` before is unchanged.
+    """
+    path = Path(path)
+    part = path.with_name(f"{path.name}.part")
+    try:
+        with part.open("wb") as file:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(part, path)
+    except OSError:
+        part.unlink(missing_ok=True)
+        raise

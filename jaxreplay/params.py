@@ -1,69 +1,82 @@
 """The n_s + 2 parameters of the model (§ 2.2.1)."""
 
+from __future__ import annotations  # help() then shows ArrayLike, not its ten members
+
+from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
+from numpy.typing import ArrayLike
+
+_NAMES = ("theta_i", "theta_tau", "sigma")
 
 
 @jax.tree_util.register_pytree_with_keys_class
-@dataclass(frozen=True)
+@dataclass(frozen=True, init=False)
 class Params:
-    """θ_I, θ_τ and one σ per sensor; traced values, so each replay of a batch has its own.
+    """θ_I, θ_τ and one σ for each sensor, as arrays in the working precision.
 
-    A leading batch axis is allowed on all three; `jax.vmap` over a `Params` then runs one
-    replay per row.
+    They are a pytree of three leaves, so that the values are traced, not compiled in. All three
+    may have a leading batch axis; `jax.vmap` over a `Params` then computes one replay for each
+    row.
 
     Attributes:
-        theta_i: θ_I, probability to jump to another record at a step, in [0, 1].
-        theta_tau: θ_τ, probability to stay, and as much to skip one sample, in [0, ½].
-        sigma: `[n_s]` σ, the scale on which two values of a sensor differ, in its unit, > 0.
-
-    Raises:
-        ValueError: a concrete value is not a finite number of its range. Tracers pass.
+        theta_i: `[]` θ_I, the probability of a jump to another record at a step, in [0, 1].
+        theta_tau: `[]` θ_τ, the probability to stay at the same sample in a step, and equally
+            that to skip one sample, in [0, ½].
+        sigma: `[n_s]` σ, the scale on which two values of a sensor count as different, in the
+            sensor's own unit, > 0.
     """
 
     theta_i: jax.Array
     theta_tau: jax.Array
     sigma: jax.Array
 
-    def __post_init__(self):
-        for name, symbol, low, high in (
-            ("theta_i", "θ_I", 0.0, 1.0),
-            ("theta_tau", "θ_τ", 0.0, 0.5),
-            ("sigma", "σ", None, np.inf),
+    def __init__(self, theta_i: ArrayLike, theta_tau: ArrayLike, sigma: ArrayLike):
+        """Convert the values to arrays and check them; tracers, whose values are unknown, pass.
+
+        Raises:
+            ValueError: a value is not a number, not finite or out of its range, or sigma is a
+                single number.
+        """
+        for name, symbol, given, low, high in (
+            ("theta_i", "θ_I", theta_i, 0.0, 1.0),
+            ("theta_tau", "θ_τ", theta_tau, 0.0, 0.5),
+            ("sigma", "σ", sigma, None, np.inf),
         ):
-            value = _as_array(getattr(self, name), name)
+            value = _as_array(given, name)
             object.__setattr__(self, name, value)
-            if isinstance(value, jax.core.Tracer):
+            if isinstance(value, Tracer):
                 continue
-            given = np.asarray(value)
-            good = np.isfinite(given)
-            good &= given > 0 if low is None else (given >= low) & (given <= high)
+            cast = np.asarray(value)
+            good = np.isfinite(cast)
+            good &= cast > 0 if low is None else (cast >= low) & (cast <= high)
             if not good.all():
-                bad = given if given.ndim == 0 else given[~good].flat[0]
+                bad = cast if cast.ndim == 0 else cast[~good].flat[0]
                 allowed = "> 0 and finite" if low is None else f"in [{low:g}, {high:g}]"
                 raise ValueError(f"{name} ({symbol}) must be {allowed}; got {bad:.6g}")
         if self.sigma.ndim == 0:
             raise ValueError("sigma (σ) needs one value per sensor, e.g. [0.1] for one sensor")
 
-    def tree_flatten_with_keys(self):
-        """For JAX: the three values are the leaves."""
-        key = jax.tree_util.GetAttrKey
-        names = ("theta_i", "theta_tau", "sigma")
-        return [(key(name), getattr(self, name)) for name in names], None
+    def tree_flatten_with_keys(self) -> tuple[Iterable[tuple[Any, Any]], None]:
+        """Return the three values as leaves with their names, for JAX."""
+        return [(jax.tree_util.GetAttrKey(name), getattr(self, name)) for name in _NAMES], None
 
     @classmethod
-    def tree_unflatten(cls, _, leaves):
-        """For JAX, which may put anything in the leaves' place: no check here."""
+    def tree_unflatten(cls, _: None, leaves: Iterable[Any]) -> Params:
+        """Return parameters with any leaves, for JAX, which puts more than arrays there."""
         params = object.__new__(cls)
-        for name, leaf in zip(("theta_i", "theta_tau", "sigma"), leaves, strict=True):
+        for name, leaf in zip(_NAMES, leaves, strict=True):
             object.__setattr__(params, name, leaf)
         return params
 
 
-def _as_array(value, name: str) -> jax.Array:
+def _as_array(value: Any, name: str) -> jax.Array:
+    """Return a value as an array in the working precision."""
     try:
         return jnp.asarray(value, dtype=jax.dtypes.canonicalize_dtype(np.float64))
     except (TypeError, ValueError) as error:

@@ -1,18 +1,24 @@
-"""Records Π: the demonstrations, kept as they were recorded (§ 2.1)."""
+"""Records Π: the demonstrations, stored sample by sample (§ 2.1)."""
 
 import zipfile
 import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from io import BytesIO
 from numbers import Real
 from pathlib import Path
+from typing import Literal
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-_FAR = 8  # times its spread: values this far from 0 lose three bits of their differences
+from jaxreplay.machine import write_whole
+
+# A sensor gets an offset where its largest |value| exceeds this many times its spread: without
+# one, rounding to the working precision would cost its differences three bits or more.
+_FAR = 8
 _BROKEN_ZIP = (zipfile.BadZipFile, zlib.error)
 
 
@@ -23,29 +29,28 @@ _BROKEN_ZIP = (zipfile.BadZipFile, zlib.error)
 )
 @dataclass(frozen=True, repr=False)
 class Records:
-    """N records of unequal lengths L_i, as arrays padded to L ≥ max_i L_i.
+    """N records of unequal lengths L_i, as arrays padded to a common length L ≥ max_i L_i.
 
-    Row t of a record is the command v_t and the observation ζ_t made *after* it, the order
-    of § 2.3. An observation made before the first command has no row. (Minari and
-    `imitation` store T + 1 observations for T actions: drop the first of them.)
+    Row t of a record is the command v_t and the observation ζ_t made *after* it, the order of
+    § 2.3. An observation made before the first command has no row. (Minari and `imitation`
+    store T + 1 observations for T actions: drop the first of them.)
 
-    Build one with :meth:`from_sequences` or :meth:`load`.
+    Build records with :meth:`from_sequences` or :meth:`load`.
 
     Attributes:
-        nodes: `[n_s, N, L + 2]` observations ζ less the offset, sensor first, in the sensors'
-            own units.
-            Column j + 1 holds sample j. Columns 0 and L_i + 1 mirror the sample next to the
-            end, so that the two segments at a record's end are the same one and equation 2
-            needs no special case there. Later columns repeat the last sample.
-        commands: `[n_u, N, L]` commands v, in the actuators' own units, zero past L_i.
-        lengths: `[N]` the lengths L_i, int32.
-        span: `[2, n_s]` the lowest and the highest of each sensor's nodes.
-        sensor_names: n_s names.
-        command_names: n_u names.
-        period: time between rows in seconds, None when unknown.
-        offset: n_s values, subtracted from observations in float64 before they are rounded to
-            the working precision; not 0 only for a sensor whose values lie far from 0 for
-            their spread, such as a position in UTM coordinates.
+        nodes: `[n_s, N, L + 2]` observations ζ less the offset, in the sensors' own units.
+            Column j + 1 is sample j. Columns 0 and L_i + 1 mirror the samples next to the first
+            and the last one, so that the two segments at a record's end coincide and equation 2
+            needs no special case there. Later columns repeat column L_i + 1.
+        commands: `[n_u, N, L]` commands v, in the actuators' own units, 0 past L_i.
+        lengths: `[N]` the lengths L_i in samples, int32.
+        span: `[2, n_s]` the lowest and the highest of each sensor's nodes, in its own unit.
+        sensor_names: `[n_s]` distinct names.
+        command_names: `[n_u]` distinct names.
+        period: time between rows in s; None if unknown.
+        offset: `[n_s]` in the sensors' own units, subtracted from observations in float64 before
+            they are rounded to the working precision. It is 0 except for a sensor whose values
+            are far from 0 compared with their spread, such as a position in UTM coordinates.
     """
 
     nodes: jax.Array
@@ -66,18 +71,18 @@ class Records:
         command_names: Sequence[str] | None = None,
         period: float | None = None,
     ) -> "Records":
-        """Pack recorded demonstrations.
+        """Return the records of N demonstrations.
 
         Args:
-            sensors: N arrays, the i-th of shape (L_i, n_s), L_i ≥ 1.
-            commands: N arrays, the i-th of shape (L_i, n_u).
-            sensor_names: n_s distinct names; z0, z1, … when not given.
-            command_names: n_u distinct names; u0, u1, … when not given.
-            period: time between rows in seconds.
+            sensors: N arrays, the i-th `[L_i, n_s]` with L_i ≥ 1.
+            commands: N arrays, the i-th `[L_i, n_u]`.
+            sensor_names: `[n_s]` distinct names; by default z0, z1, …
+            command_names: `[n_u]` distinct names; by default u0, u1, …
+            period: time between rows in s, if known.
 
         Raises:
-            ValueError: no record, an empty record, shapes that do not fit, a value that is
-                not finite in the working precision, names that do not fit, period ≤ 0.
+            ValueError: there is no record, a record is empty, shapes or names do not match, a
+                value is not finite in the working precision, or the period is not positive.
         """
         sensors = [_as_rows(s, "sensors", i) for i, s in enumerate(sensors)]
         commands = [_as_rows(c, "commands", i) for i, c in enumerate(commands)]
@@ -99,10 +104,10 @@ class Records:
                 if rows.shape[1] != first.shape[1]:
                     raise ValueError(
                         f"record {i}: {name} has {rows.shape[1]} columns, record 0 has "
-                        f"{first.shape[1]}; all records must hold the same {name}"
+                        f"{first.shape[1]}; all records must have the same {name}"
                     )
         if period is not None and not (isinstance(period, Real) and 0 < period < np.inf):
-            raise ValueError(f"period must be a positive number of seconds, not {period!r}")
+            raise ValueError(f"period must be a positive number of seconds; got {period!r}")
 
         lengths = [len(s) for s in sensors]
         longest = max(lengths)
@@ -124,7 +129,7 @@ class Records:
         )
 
     def __repr__(self) -> str:
-        """What it holds, without the arrays."""
+        """Return sizes and names in one line, without the arrays."""
         return (
             f"Records of {self.n_records} demonstrations of up to {self.longest} samples; "
             f"sensors {', '.join(self.sensor_names)}; commands {', '.join(self.command_names)}"
@@ -132,26 +137,26 @@ class Records:
 
     @property
     def n_records(self) -> int:
-        """N."""
+        """N, the number of records."""
         return self.nodes.shape[-2]
 
     @property
     def n_sensors(self) -> int:
-        """n_s."""
+        """n_s, the number of sensors."""
         return self.nodes.shape[-3]
 
     @property
     def n_commands(self) -> int:
-        """n_u."""
+        """n_u, the number of values in a command."""
         return self.commands.shape[-3]
 
     @property
     def longest(self) -> int:
-        """L, the length that records are padded to."""
+        """L, the length in samples to which records are padded."""
         return self.commands.shape[-1]
 
     def sequences(self) -> tuple[list[np.ndarray], list[np.ndarray]]:
-        """The records as :meth:`from_sequences` takes them: (L_i, n_s) and (L_i, n_u) arrays."""
+        """Return what :meth:`from_sequences` was given: arrays `[L_i, n_s]` and `[L_i, n_u]`."""
         offset = np.array(self.offset)[:, None, None]
         nodes, commands = np.asarray(self.nodes, np.float64) + offset, np.asarray(self.commands)
         lengths = np.asarray(self.lengths)
@@ -160,34 +165,43 @@ class Records:
             [commands[:, i, :n].T.copy() for i, n in enumerate(lengths)],
         )
 
-    def centre(self, z: np.ndarray | jax.Array) -> np.ndarray | jax.Array:
-        """Observations `[…, n_s]` less the offset, in the working precision.
+    def centred(self) -> "Records":
+        """Return these records with offset 0, for observations that :meth:`centre` returned."""
+        return replace(self, offset=(0.0,) * self.n_sensors) if any(self.offset) else self
 
-        In float64 as long as z is not a JAX array: pass NumPy where the offset matters.
+    def centre(self, z: np.ndarray | jax.Array) -> np.ndarray | jax.Array:
+        """Return observations less the offset, as the nodes are stored, in the working precision.
+
+        The difference is computed in float64. For a JAX array it is computed in that array's
+        precision: pass NumPy arrays where an offset is not 0.
+
+        Args:
+            z: `[…, n_s]` observations, in the sensors' own units.
 
         Raises:
-            ValueError: not n_s values.
+            ValueError: the last axis of z does not have n_s values.
         """
         if np.shape(z)[-1:] != (self.n_sensors,):
             raise self.misfit("z", np.shape(z))
         if isinstance(z, jax.Array):
-            return z - jnp.asarray(self.offset, z.dtype) if any(self.offset) else z
+            offset = jnp.broadcast_to(jnp.asarray(self.offset, z.dtype), z.shape)
+            return z - offset if any(self.offset) else z
         return _cast(np.asarray(z, dtype=np.float64) - np.array(self.offset))
 
     def misfit(self, name: str, shape: tuple[int, ...]) -> ValueError:
-        """The error for what should hold a value for each sensor, and does not."""
+        """Return the error for an argument of this shape that should have a value per sensor."""
         return ValueError(
             f"{name} has shape {shape}; the records have {self.n_sensors} sensors "
             f"({', '.join(self.sensor_names)}), so ({self.n_sensors},) is needed"
         )
 
     def subset(self, which: Sequence[int]) -> "Records":
-        """The records with these indices (from 0), in this order.
+        """Return the records with the given indices (from 0), in the given order.
 
-        They stay padded to L, so that what was compiled for as many of them serves.
+        They stay padded to L, so that programs compiled for as many records are reused.
 
         Raises:
-            ValueError: an index outside 0 … N − 1, or none.
+            ValueError: no index is given, or one is outside 0 … N − 1.
         """
         which = list(which)
         if not which:
@@ -204,29 +218,31 @@ class Records:
         )
 
     def save(self, path: str | Path) -> None:
-        """Write one `.npz` file (no pickling), whole or not at all."""
-        path = Path(path)
+        """Write the records to one `.npz` file without pickled objects, completely or not at all.
+
+        Raises:
+            OSError: the file cannot be written; an older one is unchanged.
+        """
         sensors, commands = self.sequences()
-        part = path.with_name(path.name + ".part")
-        with part.open("wb") as file:
-            np.savez_compressed(
-                file,
-                sensors=np.concatenate(sensors),
-                commands=np.concatenate(commands),
-                lengths=np.asarray(self.lengths),
-                sensor_names=np.array(self.sensor_names),
-                command_names=np.array(self.command_names),
-                period=np.array(np.nan if self.period is None else self.period),
-            )
-        part.replace(path)
+        content = BytesIO()
+        np.savez_compressed(
+            content,
+            sensors=np.concatenate(sensors),
+            commands=np.concatenate(commands),
+            lengths=np.asarray(self.lengths),
+            sensor_names=np.array(self.sensor_names),
+            command_names=np.array(self.command_names),
+            period=np.array(np.nan if self.period is None else self.period),
+        )
+        write_whole(path, content.getvalue())
 
     @classmethod
     def load(cls, path: str | Path) -> "Records":
-        """Read what :meth:`save` wrote.
+        """Return the records in a file that :meth:`save` wrote.
 
         Raises:
             FileNotFoundError: there is no such file.
-            ValueError: the file is truncated, or not one of records.
+            ValueError: the file is truncated, or does not contain records.
         """
         try:
             with open(path, "rb") as stream:
@@ -234,30 +250,33 @@ class Records:
                     raise ValueError("it is not a whole .npz file")
                 stream.seek(0)
                 with np.load(stream, allow_pickle=False) as file:
-                    held = {name: file[name] for name in file.files}
-            cuts = np.cumsum(held["lengths"])[:-1]
-            if np.min(held["lengths"]) < 1:
+                    parts = {name: file[name] for name in file.files}
+            lengths = parts["lengths"]
+            cuts = np.cumsum(lengths)[:-1]
+            if np.min(lengths) < 1:
                 raise ValueError("one of its lengths is less than 1")
-            period = float(held["period"])
+            period = None if np.isnan(float(parts["period"])) else float(parts["period"])
             for name in ("sensors", "commands"):
-                if len(held[name]) != np.sum(held["lengths"]):
-                    raise ValueError(f"its lengths add up to another number than its {name} rows")
-            sequences = [np.split(held[name], cuts) for name in ("sensors", "commands")]
-            names = [[str(n) for n in held[k]] for k in ("sensor_names", "command_names")]
+                if len(parts[name]) != np.sum(lengths):
+                    raise ValueError(f"its lengths do not add up to its number of {name} rows")
+            sensors, commands = (np.split(parts[k], cuts) for k in ("sensors", "commands"))
+            sensor_names = [str(name) for name in parts["sensor_names"]]
+            command_names = [str(name) for name in parts["command_names"]]
         except FileNotFoundError:
             raise FileNotFoundError(f"no records file {path}") from None
         except (KeyError, ValueError, TypeError, OSError, EOFError, *_BROKEN_ZIP) as error:
             raise ValueError(
-                f"{path} does not hold records (truncated, or written by something else): {error}"
+                f"{path} does not contain records (truncated, or written by something else): "
+                f"{error}"
             ) from error
         try:
-            return cls.from_sequences(*sequences, *names, None if np.isnan(period) else period)
+            return cls.from_sequences(sensors, commands, sensor_names, command_names, period)
         except ValueError as error:
             raise ValueError(f"{path}: {error}") from None
 
 
 def _as_rows(rows: np.ndarray, name: str, i: int) -> np.ndarray:
-    """One sequence as an (L_i, n) array, finite in the working precision."""
+    """Return one sequence as a float64 array `[L_i, n]`, finite in the working precision."""
     try:
         given = np.asarray(rows, dtype=np.float64)
     except (TypeError, ValueError) as error:
@@ -278,26 +297,28 @@ def _as_rows(rows: np.ndarray, name: str, i: int) -> np.ndarray:
 
 
 def _cast(values: np.ndarray) -> np.ndarray:
-    """In the working precision; what is too large becomes infinite."""
+    """Return values in the working precision; those too large for it become infinite."""
     with np.errstate(over="ignore"):
         return values.astype(jax.dtypes.canonicalize_dtype(np.float64))
 
 
 def _offset(values: np.ndarray) -> np.ndarray:
-    """The middle of each column whose values are all far from 0 for their spread, else 0.
+    """Return the offset of each column of values `[T, n]`: its middle, or 0; see :class:`Records`.
 
-    It is a float32, so that subtracting it from values that float32 holds rounds nothing.
+    It is a float32 number, so that subtracting it from float32 numbers rounds nothing.
     """
     low, high = values.min(axis=0), values.max(axis=0)
     middle = (low / 2 + high / 2).astype(np.float32).astype(np.float64)
     return np.where(np.maximum(np.abs(low), np.abs(high)) > _FAR * (high - low), middle, 0.0)
 
 
-def _extend(rows: np.ndarray, length: int, mode: str) -> np.ndarray:
+def _extend(rows: np.ndarray, length: int, mode: Literal["edge", "constant"]) -> np.ndarray:
+    """Return rows `[T, n]` padded to a length: with the last of them, or with zeros."""
     return np.pad(rows, ((0, length - len(rows)), (0, 0)), mode=mode)
 
 
 def _names(names: Sequence[str] | None, n: int, letter: str, what: str) -> tuple[str, ...]:
+    """Return n distinct names: those given, or the letter numbered from 0."""
     if names is None:
         return tuple(f"{letter}{k}" for k in range(n))
     names = tuple(str(name) for name in names)

@@ -3,11 +3,14 @@ import os
 import shutil
 import tempfile
 
+import jax
 import numpy as np
 import pytest
 from hypothesis import settings
 
-from jaxreplay import tracker
+from jaxreplay.loop import tracker
+
+jax.config.update("jax_numpy_rank_promotion", "raise")
 
 settings.register_profile("repeatable", deadline=None, derandomize=True)
 settings.load_profile("repeatable")

@@ -8,13 +8,13 @@ import pytest
 from conftest import as_float32
 
 from jaxreplay import Params, Records, reference
+from jaxreplay.filter import READINGS
 
-READINGS = ("same_tau", "own_tau")
 PRECISIONS = ("float32", "float64")
 COMPILE_QUICKLY = {"xla_backend_optimization_level": 0, "xla_llvm_disable_expensive_passes": True}
 
 both_readings = pytest.mark.parametrize("jump", READINGS)
-# For what takes long to compile: the reading that is told by the printed equation, if asked for.
+# For tests that take long to compile: the printed reading runs only with `-m slow`.
 own_tau_first = pytest.mark.parametrize(
     "jump", ["own_tau", pytest.param("same_tau", marks=pytest.mark.slow)]
 )
@@ -22,7 +22,7 @@ both_precisions = pytest.mark.parametrize("precision", PRECISIONS)
 
 
 class Case(NamedTuple):
-    """Records, what a replay of them observes, and parameters: all as float32 holds them."""
+    """Records, a replay's observations, and parameters: values that float32 represents exactly."""
 
     sensors: list[np.ndarray]
     commands: list[np.ndarray]
@@ -48,8 +48,14 @@ def noise(seed, *shape):
     return np.random.default_rng(seed).normal(size=shape)
 
 
+def passing(record, sigma, steps, seed=0):
+    """Noisy observations along a record, one sample a step, its last sample until the end."""
+    at = np.minimum(np.arange(steps), len(record) - 1)
+    return record[at] + sigma * noise(seed, steps, len(sigma))
+
+
 def run(f, sequences, zs, params):
-    """Posterior, command, log evidence and end probability after every step."""
+    """Posterior, command, log evidence and end probability after every step; the last belief."""
     records = Records.from_sequences(*sequences)
     belief, steps = f.init(records), []
     for z in zs:
@@ -62,22 +68,24 @@ def run(f, sequences, zs, params):
 
 
 def run_reference(sequences, zs, theta_i, theta_tau, sigma, jump):
+    """What :func:`run` returns first, of the reference."""
     sensors, commands = sequences
-    belief, steps = reference.initial(sensors), []
+    params = reference.Params(theta_i, theta_tau, sigma)
+    belief, steps = reference.init(sensors), []
     for z in zs:
-        belief = reference.predict(sensors, theta_i, theta_tau, belief, jump)
+        belief = reference.predict(sensors, params, belief, jump)
         u = reference.command(commands, belief)
-        belief, log_evidence = reference.update(sensors, sigma, belief, z)
+        belief, log_evidence = reference.update(sensors, params, belief, z)
         end = reference.end_probability(sensors, belief)
         steps.append((np.exp(belief), u, log_evidence, end))
     return [np.array(values) for values in zip(*steps, strict=True)]
 
 
 def tolerance(sensors, zs, sigma, precision="float32"):
-    """`[T]` how far probabilities and commands of order 1 may be off after each step.
+    """`[T]` allowed error of probabilities, and of commands of order 1, after each step.
 
-    It grows with the steps, and with the largest distance yet, in σ, of a sensor's observation
-    from all its samples.
+    It grows with the number of steps, and with the largest distance so far, in σ, of a sensor's
+    observation from all its samples.
     """
     if precision == "float64":
         return np.full(len(zs), 1e-9)
@@ -87,9 +95,9 @@ def tolerance(sensors, zs, sigma, precision="float32"):
 
 
 def errors(got, want, tolerance, precision="float32"):
-    """The largest errors of :func:`run`, each as a share of what is allowed.
+    """The largest error of each result of :func:`run`, divided by the allowed error.
 
-    A log evidence may be off by its 10^-4th part; where it passes through 0, within ±1, by 10^-4.
+    For a log evidence, 10^-4 (float32) of its magnitude is allowed, or of 1 where that is larger.
     """
     relative = {"float32": 1e-4, "float64": 1e-9}[precision]
     found = {}

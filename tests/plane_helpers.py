@@ -12,16 +12,16 @@ AWAY = (0.6, 0.3, 0)  # a cube out of the way
 
 
 def plane_with(*cubes, params=EXACT, **options):
-    """Worlds with a cube each; an option is one value for all, or one for each."""
+    """Worlds with one cube each; an option is one value for all, or one for each."""
     n = len(cubes)
     env = PlaneVectorEnv(n, params)
-    told = {name: np.broadcast_to(value, n) for name, value in options.items()}
-    env.reset(seed=list(range(n)), options=told | {"cube": np.array(cubes, float)})
+    batched = {name: np.broadcast_to(value, n) for name, value in options.items()}
+    env.reset(seed=list(range(n)), options=batched | {"cube": np.array(cubes, float)})
     return env
 
 
 def send(env, command, seconds):
-    """The same command to all worlds, for some time; what the last step returned."""
+    """Send the same command to all worlds for some time; return the last step's results."""
     for _ in range(round(seconds / env.params.control_period)):
         result = env.step(np.tile(command, (env.num_envs, 1)))
     return result
@@ -40,7 +40,7 @@ def pose_of(robot=(0, 0, 0), cube=(0.3, 0, 0), elevation=LOW, tilt=SCAN):
 
 
 def random_actions(rng, steps, n):
-    """Anything a robot can be told, the gripper's set points and magnet for 2 s each."""
+    """Random actions `[T, n, 5]`; set points and magnet are constant for 2 s each."""
     low, high = ([-0.05, -0.05, LOW, 0, 0], [0.1, 0.1, HIGH, SCAN, 1])
     actions = rng.uniform(low, high, (steps, n, 5))
     actions[:, :, 2:] = np.repeat(actions[::20, :, 2:], 20, axis=0)[:steps]

@@ -1,4 +1,4 @@
-"""That the scripts in experiments/ run, at a size that says nothing."""
+"""That the scripts in experiments/ run, at a size that proves nothing."""
 
 import shutil
 import subprocess
@@ -9,49 +9,55 @@ import matplotlib.image
 import numpy as np
 import pytest
 import xarray as xr
+from scipy.stats import spearmanr
 
-from jaxreplay import Params, Records, tracker
-from jaxreplay.config import load_config
-from jaxreplay.plane.demonstrator import DEMONSTRATED, record
+from jaxreplay import Params, Records
+from jaxreplay.loop import tracker
 from jaxreplay.plane.params import PlaneParams
-from jaxreplay.runs import runs_of
+from jaxreplay.plane.positions import DEMONSTRATED
+from jaxreplay.study.config import load_config
+from jaxreplay.study.demonstrations import record
+from jaxreplay.study.runs import runs_of
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "experiments"))
 
 import causes
+import circle
 import findings
 import loop
 import pieces
+import plain_filter
 import stalls
+import tuning
 from filter_helpers import both_readings, run_reference
 
 
 @pytest.mark.parametrize("laps", [(1,), (8,), (2, 5)])
 @pytest.mark.parametrize("lamp", [False, True])
 def test_what_is_shown_is_laps_and_the_way_to_the_goal(laps, lamp):
-    records = loop.demonstrate(loop.Shown(laps, lamp=lamp), np.random.default_rng(1))
+    records = circle.demonstrate(circle.Shown(laps, lamp=lamp), np.random.default_rng(1))
     sensors, commands = records.sequences()
-    for seen, sent, k in zip(sensors, commands, np.resize(laps, loop.N), strict=True):
+    for seen, sent, k in zip(sensors, commands, np.resize(laps, circle.N), strict=True):
         place = seen[:, 0] + 1j * seen[:, 1]
-        left = np.argmax(np.abs(place) > 1.3 * loop.RADIUS)
-        assert np.abs(place[left:] - loop.GOAL)[20:].max() < loop.ARRIVED
-        assert np.abs(np.abs(place[:left]) - loop.RADIUS).max() < 0.3 * loop.RADIUS
+        left = np.argmax(np.abs(place) > 1.3 * circle.RADIUS)
+        assert np.abs(place[left:] - circle.GOAL)[20:].max() < circle.ARRIVED
+        assert np.abs(np.abs(place[:left]) - circle.RADIUS).max() < 0.3 * circle.RADIUS
         driven = np.unwrap(np.angle(place[: left + 1])) / (2 * np.pi)
         assert driven[-1] - driven[0] == pytest.approx(k, abs=0.15)
-        assert np.abs(sent).max() < 1.5 * loop.SPEED
+        assert np.abs(sent).max() < 1.5 * circle.SPEED
         lit = np.flatnonzero(seen[:, 2])
-        assert len(lit) == lamp * (loop.LONGEST - lit.min(initial=loop.LONGEST))
+        assert len(lit) == lamp * (circle.LONGEST - lit.min(initial=circle.LONGEST))
         if lamp:
-            assert left - lit[0] == pytest.approx(loop.LAP / 2, abs=6)
+            assert left - lit[0] == pytest.approx(circle.LAP / 2, abs=6)
 
 
 def test_a_robot_is_held_or_carried_along_the_circle_once():
-    env = loop.Circle(2)
-    told = loop.options(2, noise=0, held=[7, 0], carried=[0, 0.25], wanted=9, lamp=False)
-    env.reset(seed=[1, 2], options=told | {"reset_mask": np.ones(2, bool)})
+    env = circle.Circle(2)
+    given = circle.options(2, noise=0, held=[7, 0], carried=[0, 0.25], wanted=9, lamp=False)
+    env.reset(seed=[1, 2], options=given | {"reset_mask": np.ones(2, bool)})
     angles = []
-    for _ in range(4 * loop.LAP):
-        around = 1j * loop.SPEED * np.exp(1j * env.angle)
+    for _ in range(4 * circle.LAP):
+        around = 1j * circle.SPEED * np.exp(1j * env.angle)
         env.step(np.stack([around.real, around.imag], axis=1))
         angles.append(env.angle.copy())
     steps = np.diff(angles, axis=0)
@@ -67,14 +73,14 @@ def test_a_robot_is_held_or_carried_along_the_circle_once():
 @pytest.mark.slow
 def test_the_laps_experiment_runs(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(tracker, "WINDOWS", ())  # to compile less
-    monkeypatch.setattr(loop, "STEPS", 60)  # enough for one lap
+    monkeypatch.setattr(circle, "STEPS", 60)  # enough for one lap
     monkeypatch.setattr(loop, "CONDITIONS", {})
     monkeypatch.setattr(loop, "WANTED", (1, 4))
     monkeypatch.setattr(loop, "THETA_I", loop.FEW)
     monkeypatch.setattr(sys, "argv", ["loop.py", "--repeats", "1", "--out", str(tmp_path / "new")])
     loop.main()
     table = capsys.readouterr().out
-    for row in ("8 laps, shown in step", "1 and 4 laps shown, told 4"):
+    for row in ("8 laps, shown in step", "1 and 4 laps shown, lamp: 4"):
         assert table.count(f"\n{row}") == 2  # once for each reading
     assert "1 (21–100)" in table  # Wilson's interval of 1 of 1
     assert matplotlib.image.imread(tmp_path / "new" / "loop.png").shape[2] == 4
@@ -106,16 +112,16 @@ def test_findings_are_of_the_runs_they_name():
     )
     assert findings.within(0.005, 1)(runs) == "S 75 (30–95) %; by θ_I 50, 100"
     assert findings.mean(runs, "alignment_error").startswith("3.0 (")
-    told = findings.mean_by_theta_i("alignment_error", "mm")(runs)
-    assert told.endswith("mm; by θ_I from 1.0 to 5.0")
+    text = findings.mean_by_theta_i("alignment_error", "mm")(runs)
+    assert text.endswith("mm; by θ_I from 1.0 to 5.0")
 
 
 def test_demonstrations_in_step_do_the_same_at_the_same_moment():
-    records, _ = record(PlaneParams(), DEMONSTRATED[[0, 9, 17]], seed=3)
+    records = record(PlaneParams(), DEMONSTRATED[[0, 9, 17]], seed=3)
     before, after = records.sequences()[1], causes.in_step(records).sequences()[1]
     assert {len(sent) for sent in after} == {sorted(map(len, before))[1]}
 
-    def changes(sent):  # when the gripper is first told to scan, to grasp, to hold and to lift
+    def changes(sent):  # when the gripper is first commanded to scan, to grasp, to hold and to lift
         moments = [np.flatnonzero(np.diff(sent[:, k]) * way > 0)[0] for k, way in GRIPPER]
         return PlaneParams().control_period * np.array(moments)
 
@@ -134,7 +140,7 @@ def test_causes_are_run_once_for_what_is_asked(tmp_path, monkeypatch, capsys):
         return ["S", "S", "Fs"]
 
     monkeypatch.setattr(causes, "run", run)
-    monkeypatch.setattr(causes, "record", lambda *made_as: ("demonstrations", None))
+    monkeypatch.setattr(causes, "record", lambda *made_as: "demonstrations")
     asked = ["causes.py", "--only", "plain float32 filter", "--ahead", "2", "--out", str(tmp_path)]
     expected = []
     for theta_i, new in (("0.1 0.01", (0.1, 0.01)), ("0.01 1e-25", (1e-25,))):
@@ -164,18 +170,18 @@ def test_the_plain_filter_is_the_filter_until_it_underflows(jump):
     sequences, values = (sensors, commands), (0.1, 0.05, np.array([1.0, 0.5]))
     _, wanted, evidence, ended = run_reference(sequences, zs, *values, jump)
     batch = Params(*(np.array([value]) for value in values))
-    plain = causes.Plain(Records.from_sequences(*sequences), batch, jump)
+    plain = plain_filter.PlainTracker(Records.from_sequences(*sequences), batch, jump)
     for z, u, e, p in zip(zs, wanted, evidence, ended, strict=True):
         np.testing.assert_allclose(plain.command[0], u, atol=1e-3)
-        gained, at_end = plain.advance(z[None], np.array([True]))
+        gained, at_end = plain.observe(z[None], np.array([True]))
         assert gained[0] == pytest.approx(e, abs=1e-2)
         assert at_end[0] == pytest.approx(p, abs=1e-3)
-    gained, _ = plain.advance(np.full((1, 2), 1e3), np.array([True]))
+    gained, _ = plain.observe(np.full((1, 2), 1e3), np.array([True]))
     assert gained[0] == -np.inf  # and goes on
     assert np.isfinite(plain.command).all()
 
 
-def test_a_stall_is_told_by_what_it_is():
+def test_a_stall_is_described_by_its_last_minute():
     p = np.zeros((600, 4))
     p[:, 2], p[:, 0] = 0.9, 0.1
     p[300:400] = p[300:400, ::-1]  # record 1 leads for 10 s
@@ -191,7 +197,7 @@ def test_a_stall_is_told_by_what_it_is():
     assert stalls.typical([stall, other, stall]) is stall
 
 
-def test_the_large_sizes_are_told_of_in_one_file(tmp_path):
+def test_the_large_sizes_are_listed_in_one_file(tmp_path):
     folder = Path(stalls.__file__).parent
     fake = tmp_path / ".venv" / "bin" / "jaxreplay"
     fake.parent.mkdir(parents=True)
@@ -199,9 +205,9 @@ def test_the_large_sizes_are_told_of_in_one_file(tmp_path):
     fake.chmod(0o755)
     (tmp_path / "experiments").mkdir()
     script = shutil.copy(folder / "large.sh", tmp_path / "experiments")
-    told = subprocess.run(["sh", script, "--workers", "2"], capture_output=True, text=True)
+    printed = subprocess.run(["sh", script, "--workers", "2"], capture_output=True, text=True)
     runs = {}
-    for line in told.stdout.splitlines():
+    for line in printed.stdout.splitlines():
         run, file, _, out, *others = line.split()
         assert run == "run"
         assert others[-2:] == ["--workers", "2"]
@@ -222,7 +228,7 @@ LARGE = {
 }  # fmt: skip
 
 
-def test_findings_tell_where_a_cube_stood():
+def test_findings_distinguish_where_a_cube_stood():
     cubes = np.array([[0.3, 0.05], [0.45, 0.0], [0.2, 0.2], [0.3, -0.15]])
     runs = xr.Dataset(
         {"outcome": (("jump", "position"), [["S", "S", "Fb", "Fg"], ["S", "Fs", "S", "Fg"]])},
@@ -239,3 +245,29 @@ def test_findings_tell_where_a_cube_stood():
         ("own_tau, outside, in sight, 2 positions", f"S {findings.rate(1, 2)} %"),
         ("own_tau, outside, out of sight, 1 positions", f"S {findings.rate(0, 1)} %"),
     ]
+
+
+def test_bootstrap_intervals():
+    rng = np.random.default_rng(1)
+    values = rng.normal(5, 2, 400)
+    mean, low, high = pieces.mean_and_interval(values)
+    assert mean == values.mean()
+    assert [low, high] == pytest.approx(mean + np.array([-1.96, 1.96]) * 2 / 20, abs=0.03)
+    assert np.isnan(pieces.mean_and_interval(values[:1])[1:]).all()
+
+    score = rng.normal(size=300)
+    success = np.round(score + rng.normal(size=300), 1)  # with ties
+    rho, low, high = tuning.correlation(score, success)
+    assert rho == pytest.approx(spearmanr(score, success).statistic)
+    assert low < rho < high
+    assert tuning.correlation(-score, success)[0] == pytest.approx(-rho)
+    assert np.isnan(tuning.correlation(score, np.ones(300))).all()
+    assert np.isfinite(tuning.correlation(score[:4], np.array([0, 0, 1, 1]))).all()
+    runs = xr.Dataset(
+        {"outcome": (("position", "repeat"), np.full((40, 3), "S"))},
+        {"position": np.arange(40)},
+    )
+    runs["duration"] = runs.outcome.dims, 90 + rng.normal(size=(40, 1)) + np.zeros((40, 3))
+    low, high = map(float, findings.mean(runs, "duration").split("(")[1][:-1].split("–"))
+    # Runs at one position are alike: 120 runs are worth 40.
+    assert high - low == pytest.approx(2 * 1.96 / np.sqrt(40), abs=0.15)

@@ -15,9 +15,9 @@ from jaxreplay import Params
 )
 def test_values_in_range_are_kept_in_the_working_precision(theta_i, theta_tau, sigma):
     params = Params(theta_i, theta_tau, sigma)
-    for held, given_ in zip(jax.tree.leaves(params), (theta_i, theta_tau, sigma), strict=True):
-        assert held.dtype == "float32"
-        np.testing.assert_array_equal(held, np.asarray(given_, np.float32))
+    for leaf, value in zip(jax.tree.leaves(params), (theta_i, theta_tau, sigma), strict=True):
+        assert leaf.dtype == "float32"
+        np.testing.assert_array_equal(leaf, np.asarray(value, np.float32))
     with jax.enable_x64(True):
         np.testing.assert_array_equal(Params(theta_i, theta_tau, sigma).sigma, sigma)
 
@@ -78,7 +78,7 @@ def test_params_pass_through_jit_vmap_and_grad():
     doubled = jax.jit(lambda p: jax.tree.map(lambda leaf: 2 * leaf, p))(params)
     assert doubled.sigma.tolist() == [[2, 4], [6, 8]]
     gradient = jax.grad(lambda p: (p.sigma**2).sum() - p.theta_i.sum())(params)
-    assert isinstance(gradient, Params)  # of values that no Params may hold
+    assert isinstance(gradient, Params)  # of values that no Params may have
     assert gradient.theta_i.tolist() == [-1, -1]
     assert gradient.sigma.tolist() == [[2, 4], [6, 8]]
 
@@ -88,9 +88,9 @@ def test_any_leaf_survives_the_pytree_roundtrip(leaf):
     structure = jax.tree.structure(Params(0.1, 0.05, [1.0]))
     params = jax.tree.unflatten(structure, [leaf] * 3)
     assert params.theta_i is params.theta_tau is params.sigma is leaf
-    held = jax.tree.leaves(params, is_leaf=lambda x: x is None)
-    assert all(value is leaf for value in held)
-    assert len(held) == 3
+    leaves = jax.tree.leaves(params, is_leaf=lambda x: x is None)
+    assert all(value is leaf for value in leaves)
+    assert len(leaves) == 3
 
 
 def test_leaves_are_named_after_the_parameters():

@@ -25,9 +25,9 @@ def assert_same(a, b):
 
 
 def changed(records, **parts):
-    """What a records file holds, with parts changed; a part that is None is left out."""
+    """The contents of a records file, with parts changed; a part that is None is left out."""
     sensors, commands = records.sequences()
-    held = {
+    whole = {
         "sensors": np.concatenate(sensors),
         "commands": np.concatenate(commands),
         "lengths": np.asarray(records.lengths),
@@ -35,7 +35,7 @@ def changed(records, **parts):
         "command_names": np.array(records.command_names),
         "period": np.array(records.period),
     }
-    return {name: part for name, part in (held | parts).items() if part is not None}
+    return {name: part for name, part in (whole | parts).items() if part is not None}
 
 
 def test_sequences_gives_back_what_from_sequences_took(records):
@@ -70,16 +70,16 @@ def test_float64_is_kept_under_x64(tmp_path):
         assert_same(records, Records.load(tmp_path / "r.npz"))
 
 
-def test_subset_takes_records_in_the_order_asked_for(records):
+def test_subset_takes_records_in_the_given_order(records):
     sensors, commands = random_sequences(0, LENGTHS)
     which = [3, 1, 1]
     picked = records.subset(which)
-    for held, wanted in zip(picked.sequences(), (sensors, commands), strict=True):
-        for rows, i in zip(held, which, strict=True):
+    for found, wanted in zip(picked.sequences(), (sensors, commands), strict=True):
+        for rows, i in zip(found, which, strict=True):
             np.testing.assert_array_equal(rows, wanted[i])
     seen = np.concatenate([sensors[i] for i in which])
     np.testing.assert_array_equal(picked.span, [seen.min(0), seen.max(0)])
-    assert picked.longest == records.longest  # what was compiled for three records serves
+    assert picked.longest == records.longest  # what was compiled for three records is reused
     assert_same(records.subset(range(4)), records)
 
 
@@ -117,7 +117,7 @@ def test_an_interrupted_save_leaves_the_old_file(tmp_path, records, monkeypatch)
     assert_same(records, Records.load(path))
 
 
-def test_the_file_holds_no_pickles(tmp_path, records):
+def test_the_file_contains_no_pickles(tmp_path, records):
     path = tmp_path / "records.npz"
     records.save(path)
     with np.load(path, allow_pickle=False) as file:
@@ -133,10 +133,10 @@ def test_pickles_are_not_loaded(tmp_path, records):
 
     path = tmp_path / "records.npz"
     np.savez(path, **changed(records, sensor_names=np.array([Harmful()], object)))
-    with pytest.raises(ValueError, match=r"records\.npz does not hold records"):
+    with pytest.raises(ValueError, match=r"records\.npz does not contain records"):
         Records.load(path)
     path.write_bytes(pickle.dumps(Harmful()))
-    with pytest.raises(ValueError, match=r"records\.npz does not hold records"):
+    with pytest.raises(ValueError, match=r"records\.npz does not contain records"):
         Records.load(path)
     assert not opened.exists()
 
@@ -152,7 +152,7 @@ def test_truncated_file_is_an_error_wherever_it_was_cut(tmp_path, records):
     whole = path.read_bytes()
     for size in [*range(0, len(whole), 50), len(whole) - 1]:
         path.write_bytes(whole[:size])
-        with pytest.raises(ValueError, match=r"records\.npz does not hold records \(truncated"):
+        with pytest.raises(ValueError, match=r"records\.npz does not contain records \(truncated"):
             Records.load(path)
 
 
@@ -165,26 +165,26 @@ def test_damaged_numbers_are_an_error_whichever_byte_changed(tmp_path, records):
     begin = first.header_offset + 30 + len("sensors.npy") + 20  # past the header and its extras
     for at in range(begin, first.header_offset + first.compress_size):
         path.write_bytes(whole[:at] + bytes([whole[at] ^ 0x55]) + whole[at + 1 :])
-        with pytest.raises(ValueError, match="does not hold records"):
+        with pytest.raises(ValueError, match="does not contain records"):
             Records.load(path)
 
 
 @pytest.mark.parametrize(
     ("parts", "message"),
     [
-        ({"sensors": None}, "does not hold records"),
-        ({"period": None}, "does not hold records"),
-        ({"lengths": np.array(["a", "b", "c", "d"])}, "does not hold records"),
-        ({"lengths": np.array([5, 3, 2, 2])}, "does not hold records"),
-        ({"lengths": np.array([5, 3, 2])}, "does not hold records"),
-        ({"lengths": np.array([5, 3, -2, 5])}, "does not hold records"),
+        ({"sensors": None}, "does not contain records"),
+        ({"period": None}, "does not contain records"),
+        ({"lengths": np.array(["a", "b", "c", "d"])}, "does not contain records"),
+        ({"lengths": np.array([5, 3, 2, 2])}, "does not contain records"),
+        ({"lengths": np.array([5, 3, 2])}, "does not contain records"),
+        ({"lengths": np.array([5, 3, -2, 5])}, "does not contain records"),
         ({"sensors": np.zeros(11)}, ": record 0: sensors must have shape"),
         ({"sensors": np.full((11, 2), np.nan)}, r": record 0: sensors\[0, 0\] is nan"),
-        ({"commands": np.zeros((10, 2))}, "does not hold records"),
-        ({"sensor_names": np.array("x")}, "does not hold records"),
+        ({"commands": np.zeros((10, 2))}, "does not contain records"),
+        ({"sensor_names": np.array("x")}, "does not contain records"),
         ({"sensor_names": np.array(["x"])}, ": 2 distinct sensor names are needed"),
         ({"period": np.array(-1.0)}, ": period must be a positive number"),
-        ({"period": np.array([0.1, 0.2])}, "does not hold records"),
+        ({"period": np.array([0.1, 0.2])}, "does not contain records"),
     ],
     ids=str,
 )
@@ -198,13 +198,13 @@ def test_foreign_or_inconsistent_file_is_an_error(tmp_path, records, parts, mess
 def test_file_of_another_kind_is_an_error(tmp_path, content):
     path = tmp_path / "other.csv"
     path.write_bytes(content)
-    with pytest.raises(ValueError, match=r"other\.csv does not hold records"):
+    with pytest.raises(ValueError, match=r"other\.csv does not contain records"):
         Records.load(path)
 
 
 def test_npy_file_is_an_error(tmp_path):
     np.save(tmp_path / "other.npy", np.zeros(3))
-    with pytest.raises(ValueError, match=r"other\.npy does not hold records"):
+    with pytest.raises(ValueError, match=r"other\.npy does not contain records"):
         Records.load(tmp_path / "other.npy")
 
 
@@ -277,7 +277,7 @@ def test_records_pass_through_jit(records):
     assert doubled.longest == records.longest
 
 
-def test_it_tells_what_it_holds_in_a_line():
+def test_its_repr_is_one_line():
     records = Records.from_sequences(*random_sequences())
     assert repr(records) == (
         "Records of 4 demonstrations of up to 200 samples; sensors z0, z1; commands u0, u1"

@@ -1,20 +1,20 @@
-"""What a control step of the filter costs, against the fastest rivals we could write.
+"""What does a control step of the filter cost, against the fastest rivals we could write?
 
     python experiments/benchmarks/filter_step.py [--only A] [--rounds 7] [--json FILE]
     python experiments/benchmarks/filter_step.py --cold --scaling [--json FILE]
 
-A step is update, end probability, prediction and command, for a batch of replays; wall time of
-all cores, divided by replays and steps. All rivals in turn within a round, medians
-over rounds; machines are noisy, trust the ratios.
+A step is update, end probability, prediction and command, for a batch of replays. Times are wall
+time on all cores, divided by replays and steps. Within a round all rivals take turns; the table has
+medians over rounds. Machines are noisy: trust the ratios.
 
-Before it is timed, every rival is held to the float64 reference on a smaller copy of the work
-("error", of the posterior; "misses" where it is beyond what is tolerated, see `work.py`). Ours in
-windows is an approximation where the belief is wider than they are; windows are fixed here, while
-studies widen them rather than drop much (`live.py` tells what that costs).
+Before it is timed, every rival is compared with the float64 reference on a smaller copy of the work
+("error", of the posterior; "misses" where it exceeds the tolerance, see `work.py`). In windows ours
+is an approximation wherever the belief is wider than they are; windows are fixed here, while
+studies widen them rather than drop much (`live.py` measures what that costs).
 
-The floor is the time the error functions alone would take, one a sample and sensor. Memory is
-what the process grows by at its peak, and compiling what the first call takes longer, each in a
-fresh process.
+The floor is the time that the error functions alone would take, one per sample and sensor. Memory
+is the growth of the process up to its peak, and compile time is by how much the first call takes
+longer than later ones, each in a fresh process.
 
 Numba comes with `pip install -e '.[benchmark]'`; without it that rival and the floor are left out.
 """
@@ -32,7 +32,7 @@ from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
-from rivals import CORES, Share, numba_kernel, numba_rival, numpy_rival, ours
+from rivals import CORES, Share, numba_rival, numba_step, numpy_step, ours
 from work import Rival, Work, errors, make_work, reference_beliefs
 
 JUMPS = ("same_tau", "own_tau")
@@ -52,21 +52,21 @@ SCALES = {
 
 
 def all_rivals() -> dict:
-    """Each a function (work, replays) → Rival."""
+    """Return the rivals by name, each a function (work, replays) → Rival."""
     rivals = {name: partial(ours, window=window) for name, window in windows().items()}
-    rivals["NumPy"] = numpy_rival
+    rivals["NumPy"] = numpy_step
     if numba_rival:
-        rivals["Numba"] = numba_kernel
+        rivals["Numba"] = numba_step
     return rivals
 
 
 def windows() -> dict[str, int | None]:
-    """Ours, by how many moments are held."""
+    """Return ours by name: how many moments of each record are stored; None: all."""
     return {"ours, dense": None, "ours, window 256": 256, YARDSTICK: 64}
 
 
 def main():
-    """Measure, print, and save if asked."""
+    """Measure, print the tables, and save them if asked."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--only", choices=WORKS, help="one of the two works")
     parser.add_argument("--rounds", type=int, default=7)
@@ -92,7 +92,7 @@ def main():
 
 
 def speed(names: list[str], rounds: int) -> dict:
-    """All rivals' errors and times, and the floor."""
+    """Return all rivals' errors and times, and the floor."""
     if not numba_rival:
         print("Numba is not installed: its rival and the floor are left out.")
     found = {jump: accuracy(jump) for jump in JUMPS}
@@ -106,7 +106,7 @@ def speed(names: list[str], rounds: int) -> dict:
 
 
 def machine() -> dict[str, str | int]:
-    """What the numbers depend on."""
+    """Return what the numbers depend on: processor and versions."""
     cpu = re.search(r"model name\s*: (.*)", Path("/proc/cpuinfo").read_text())
     packages = ("jax", "jaxlib", "numpy", "scipy", *(("numba",) if numba_rival else ()))
     return {
@@ -118,26 +118,26 @@ def machine() -> dict[str, str | int]:
 
 
 def accuracy(jump: str) -> dict[str, dict[str, float]]:
-    """Every rival's errors on the small work."""
+    """Return every rival's errors on the small work, and whether they are tolerated."""
     work = make_work(jump, **SMALL)
     truth = list(reference_beliefs(work))
     found = {}
     for name, make in all_rivals().items():
         found[name] = errors(make(work, 1), work, truth)
         error = found[name]
-        error["held"] = error["posterior"] <= 1e-9 if name in SLOW else error["share"] <= 1
+        error["tolerated"] = error["posterior"] <= 1e-9 if name in SLOW else error["share"] <= 1
     return found
 
 
 def table(name: str, jump: str, found: dict, rounds: int) -> dict:
-    """Time all rivals on a work, in turn, and print."""
-    told = WORKS[name]
-    steps, warm_up = told["steps"], told["warm_up"]
+    """Time all rivals on a work, in turn, and print the table."""
+    size = WORKS[name]
+    steps, warm_up = size["steps"], size["warm_up"]
     total = warm_up + rounds * steps
-    work = make_work(jump, told["n"], told["length"], told["replays"], total)
+    work = make_work(jump, size["n"], size["length"], size["replays"], total)
     running, took = {}, {}
     for rival_name, make in all_rivals().items():
-        replays = told["few" if rival_name in SLOW else "replays"]
+        replays = size["few" if rival_name in SLOW else "replays"]
         rival = make(work, replays)
         state, _ = advance(rival, rival.begin(), work, range(warm_up))
         running[rival_name], took[rival_name] = [rival, state, replays], []
@@ -147,8 +147,8 @@ def table(name: str, jump: str, found: dict, rounds: int) -> dict:
             running[rival_name][1], seconds = advance(rival, state, work, at)
             took[rival_name].append(seconds / steps / replays)
 
-    print(f"\nWork {name}, {jump}: N = {told['n']}, L = {told['length']}, n_s = {N_SENSORS};")
-    print(f"{told['replays']} replays ({', '.join(SLOW)}: {told['few']}), µs a replay-step")
+    print(f"\nWork {name}, {jump}: N = {size['n']}, L = {size['length']}, n_s = {N_SENSORS};")
+    print(f"{size['replays']} replays ({', '.join(SLOW)}: {size['few']}), µs a replay-step")
     print(f"{'':18}{'median':>9}{'lowest – highest':>20}", end="")
     print(f"{'× ' + YARDSTICK:>19}{'× NumPy':>10}{'error':>10}")
     rows = {}
@@ -167,17 +167,17 @@ def table(name: str, jump: str, found: dict, rounds: int) -> dict:
         print(f"{rival_name:18}{row['us_per_replay_step']:9.0f}{span:>20}", end="")
         print(f"{row['times_yardstick']:19.2f}", end="")
         print(f"{row['times_numpy']:10.3f}{error['posterior']:10.0e}", end="")
-        print("" if error["held"] else "  misses")
-    return {"jump": jump, "work": told, "rows": rows}
+        print("" if error["tolerated"] else "  misses")
+    return {"jump": jump, "work": size, "rows": rows}
 
 
 def ratio(times: list, others: list) -> float:
-    """The median over rounds of how many times slower than another rival."""
+    """Return by what factor a rival is slower than another, the median over rounds."""
     return float(np.median(np.array(times) / np.array(others)))
 
 
 def advance(rival: Rival, state, work: Work, at: range):
-    """The state after some steps, and the seconds they took."""
+    """Return the state after some steps, and the seconds that they took."""
     start = time.perf_counter()
     for t in at:
         state, *_ = rival.advance(state, work.observations[t])
@@ -185,7 +185,7 @@ def advance(rival: Rival, state, work: Work, at: range):
 
 
 def error_function_seconds() -> float:
-    """Of one float32 error function in a loop that does nothing else, on all cores at once."""
+    """Return the time of one float32 error function, in a loop of nothing else on all cores."""
     took = []
     for _ in range(50):
         start = time.perf_counter()
@@ -195,33 +195,33 @@ def error_function_seconds() -> float:
 
 
 def floor(name: str, seconds: float) -> dict[str, float]:
-    """Print what the error functions of a step alone would take."""
-    told, found = WORKS[name], {"ns_per_error_function": 1e9 * seconds}
+    """Print and return the time that the error functions of a step alone would take."""
+    size, found = WORKS[name], {"ns_per_error_function": 1e9 * seconds}
     print(f"Floor: at {1e9 * seconds:.2f} ns an error function, all cores:", end="")
     for rival_name, window in windows().items():
-        held = min(window or told["length"], told["length"])
-        found[rival_name] = 1e6 * seconds * told["n"] * held * N_SENSORS
+        stored = min(window or size["length"], size["length"])
+        found[rival_name] = 1e6 * seconds * size["n"] * stored * N_SENSORS
         print(f" {rival_name.removeprefix('ours, ')} {found[rival_name]:.0f} µs;", end="")
     print()
     return found
 
 
 def cold_table(name: str) -> dict[str, dict[str, float]]:
-    """Print memory and compile time of ours, each in a process of its own."""
-    told, found = WORKS[name], {}
-    print(f"\nWork {name}, {told['replays']} replays")
+    """Print and return memory and compile time of ours, each in a process of its own."""
+    size, found = WORKS[name], {}
+    print(f"\nWork {name}, {size['replays']} replays")
     for jump in JUMPS:
         for rival_name, window in windows().items():
             with ProcessPoolExecutor(1, get_context("spawn")) as process:
-                told_to = (jump, told["n"], told["length"], told["replays"], window)
-                row = found[f"{rival_name}, {jump}"] = process.submit(cold, *told_to).result()
+                arguments = (jump, size["n"], size["length"], size["replays"], window)
+                row = found[f"{rival_name}, {jump}"] = process.submit(cold, *arguments).result()
             print(f"{rival_name + ', ' + jump:28}{row['compile_s']:6.1f} s to compile", end="")
             print(f"{row['memory_mib']:8.0f} MiB more at the peak")
     return found
 
 
 def cold(jump: str, n: int, length: int, replays: int, window: int | None) -> dict[str, float]:
-    """Compile time, and growth of the process, from the first step to the third."""
+    """Return compile time, and growth of the process, from the first step to the third."""
     work = make_work(jump, n, length, replays, 3)
     share, before = Share(work, replays, window), peak_memory()
     seconds = []
@@ -238,12 +238,12 @@ def cold(jump: str, n: int, length: int, replays: int, window: int | None) -> di
 
 
 def peak_memory() -> int:
-    """The most this process has held, KiB; ru_maxrss would start at its parent's."""
+    """Return the peak memory of this process, KiB; ru_maxrss would start at its parent's."""
     return int(re.search(r"VmHWM:\s*(\d+)", Path("/proc/self/status").read_text())[1])
 
 
 def scaling(what: str, rounds: int) -> dict:
-    """Time ours with one size of work A varied, and print."""
+    """Time ours with one size of work A varied, and print the table."""
     base = {"n": 20, "length": 1000, "replays": 14}
     print(f"\nµs a replay-step (same_tau) against {what}, else {base}")
     print(f"{what:>18}" + "".join(f"{value:>10}" for value in SCALES[what]))
@@ -252,17 +252,17 @@ def scaling(what: str, rounds: int) -> dict:
         print(f"{name:18}", end="", flush=True)
         found[name] = {}
         for value in SCALES[what]:
-            told = base | {what: value}
-            if window is None and told["replays"] > 512:  # some minutes
+            sizes = base | {what: value}
+            if window is None and sizes["replays"] > 512:  # some minutes
                 print(f"{'–':>10}", end="")
                 continue
-            work = make_work("same_tau", steps=rounds + 1, **told)
-            rival = ours(work, told["replays"], window)
+            work = make_work("same_tau", steps=rounds + 1, **sizes)
+            rival = ours(work, sizes["replays"], window)
             state, _ = advance(rival, rival.begin(), work, range(1))
             took = []
             for t in range(1, rounds + 1):
                 state, seconds = advance(rival, state, work, range(t, t + 1))
-                took.append(1e6 * seconds / told["replays"])
+                took.append(1e6 * seconds / sizes["replays"])
             found[name][value] = {
                 "us_per_replay_step": float(np.median(took)),
                 "lowest": min(took),

@@ -1,4 +1,4 @@
-"""How many control steps of the plane a second, on one core, against plain loops.
+"""How many control steps a second does the plane simulate on one core, against plain loops?
 
 `python experiments/benchmarks/plane_step.py` prints a table: for 1, 16 and 128 worlds the
 control steps of one world that fit into a second, sensors included, and ratios to the plain
@@ -8,10 +8,9 @@ loop. Medians of several rounds, in which the rivals take turns.
   called, servos and camera computed with scalars, proximeters by pymunk's own segment queries
   (`Space.segment_query_first`), a ray at a time.
 - **plain loop, our sensors**: the same, but the sensors of all worlds computed at once.
-- **jaxreplay, public calls**: `PlaneVectorEnv.step` without pymunk's private functions.
 - **jaxreplay**: `PlaneVectorEnv.step`.
 
-All rivals step the same spaces at the same substep; what they observe is compared first.
+All rivals step the same spaces at the same substep; their observations are compared first.
 """
 
 import math
@@ -22,8 +21,6 @@ import time
 import numpy as np
 import pymunk
 
-from jaxreplay.plane import env as plane_env
-from jaxreplay.plane import stepping
 from jaxreplay.plane.env import PlaneVectorEnv
 from jaxreplay.plane.params import PlaneParams
 from jaxreplay.plane.sensors import Pose, camera, proximeters
@@ -36,16 +33,16 @@ COMMAND = (0.015, 0.015, P.low, P.scanning_tilt, 0.0)  # advances, scanning
 
 
 def cubes(n: int) -> np.ndarray:
-    """Where they stand, some of them in the robot's way."""
+    """Return where cubes stand, some of them in the robot's way."""
     rng = np.random.default_rng(0)
     return rng.uniform([0.24, -0.05, -1], [0.3, 0.08, 1], (n, 3))
 
 
 class Plain:
-    """One world after the other."""
+    """Worlds stepped one after the other."""
 
     def __init__(self, n: int, vectorised: bool):
-        """N worlds; the sensors of all at once, or not."""
+        """Make n worlds; their sensors are computed all at once if `vectorised`."""
         self.worlds = [World(P, cube) for cube in cubes(n)]
         self.vectorised = vectorised
         self.hand = [[P.high, 0.0, None] for _ in range(n)]
@@ -57,7 +54,7 @@ class Plain:
         self.seen = np.zeros(n)
 
     def step(self) -> np.ndarray:
-        """A control step in every world, and what is seen then."""
+        """Do a control step in every world, and return the observations."""
         rows = [self.one(b) for b in range(len(self.worlds))]
         if not self.vectorised:
             return np.array([self.look(b) for b in range(len(self.worlds))])
@@ -67,7 +64,7 @@ class Plain:
         return np.column_stack([self.seen, proximeters(P, pose)])
 
     def one(self, b: int) -> tuple:
-        """A control step of one world."""
+        """Do a control step of one world."""
         world, hand = self.worlds[b], self.hand[b]
         left, right = (round(v / P.motor_unit) * P.motor_unit for v in COMMAND[:2])
         forward, turn = (left + right) / 2, (right - left) / P.track_separation
@@ -86,7 +83,7 @@ class Plain:
         return (*robot.position, robot.angle), (*cube.position, cube.angle), hand[0], hand[1]
 
     def look(self, b: int) -> list[float]:
-        """What one robot sees."""
+        """Return the observation of one robot."""
         world, (elevation, tilt, _) = self.worlds[b], self.hand[b]
         robot = world.robot
         x, y = robot.world_to_local(world.cube.position)
@@ -123,25 +120,19 @@ class Plain:
         return readings
 
 
-def ours(n: int, advance=stepping.advance):
-    """A function that steps n of our worlds."""
+def ours(n: int):
+    """Return a function that steps n of our worlds."""
     env = PlaneVectorEnv(n, P)
     env.reset(seed=0, options={"cube": cubes(n)})
     actions = np.tile(COMMAND, (n, 1))
-
-    def step() -> np.ndarray:
-        plane_env.advance = advance
-        return env.step(actions)[0]
-
-    return step
+    return lambda: env.step(actions)[0]
 
 
 def main():
-    """Compare, measure and print."""
+    """Compare observations, measure, and print the table."""
     rivals = {
         "plain loop": lambda n: Plain(n, vectorised=False).step,
         "plain loop, our sensors": lambda n: Plain(n, vectorised=True).step,
-        "jaxreplay, public calls": lambda n: ours(n, stepping.advance_public),
         "jaxreplay": ours,
     }
     steps = {name: make(16) for name, make in rivals.items()}

@@ -1,12 +1,12 @@
-"""What a study costs: wall time, simulated seconds a second, memory, and where the time goes.
+"""What does a study cost: wall time, simulated seconds a second, memory; where does time go?
 
     python experiments/benchmarks/study.py [--rounds 3] [--jump own_tau] [--large] [--json FILE]
 
 The first table is the paper's Figure 3, one reading, 105 runs, as the command line runs it: with
 an empty cache of compiled code, in one process, and with one and two workers, by turns. Process
-start, imports and drawing are counted, recording the demonstrations is not. The second says where
+start, imports and drawing are counted, recording the demonstrations is not. The second shows where
 the time of one core goes in one process. `--large` runs grids of 2,000 and 10,000 runs, to see what
-workers gain, and if memory grows; they replay the first 15 s of the demonstrations, to be short.
+workers gain, and whether memory grows; they replay the first 15 s of the demonstrations only.
 """
 
 import argparse
@@ -25,18 +25,19 @@ import numpy as np
 import psutil
 
 import jaxreplay as jr
-from jaxreplay.config import load_config
+from jaxreplay.loop.tracker import Tracker
 from jaxreplay.machine import keep_compiled
-from jaxreplay.plane import env
 from jaxreplay.plane.env import PlaneVectorEnv
-from jaxreplay.runs import runs_of
-from jaxreplay.study import demonstrations, replays_of
-from jaxreplay.tracker import Tracker
+from jaxreplay.plane.world import World
+from jaxreplay.study.config import load_config
+from jaxreplay.study.demonstrations import demonstrations
+from jaxreplay.study.runs import runs_of
+from jaxreplay.study.shard import replays_of
 
 THETA_I = Path(__file__).parents[1] / "theta_i.toml"
 SHORT = 150  # samples
 PAPER = "axis.theta_i.logspace=[-0.5, -3.5, 7]"
-WAYS = {  # how, and with a cache of its own
+WAYS = {  # arguments, and whether with a cache of its own
     "from cold": ([], True),
     "one process": ([], False),
     "1 worker": (["--workers", "1"], False),
@@ -68,24 +69,24 @@ def main():
 
 
 def figure_3(given: list[str], folder: Path, rounds: int) -> dict:
-    """Each way by turns; medians."""
+    """Time each way by turns; print and return medians."""
     took = defaultdict(list)
     run(given, folder / "warm up", None)
     for k in range(rounds):
         for way, (how, cold) in WAYS.items():
             cache = folder / f"cache {k}" if cold else None
             took[way].append(run(given + how, folder / f"{way} {k}", cache))
-    told = {}
+    found = {}
     print(f"{'Figure 3, 105 runs':22}{'wall, s':>9}{'simulated s/s':>15}{'peak, GiB':>11}")
     for way, each in took.items():
         wall, rate, peak = np.median(each, axis=0)
-        told[way] = {"wall": wall, "rate": rate, "peak": peak, "each": each}
+        found[way] = {"wall": wall, "rate": rate, "peak": peak, "each": each}
         print(f"{way:22}{wall:9.1f}{rate:15.0f}{peak:11.2f}")
-    return told
+    return found
 
 
 def run(given: list[str], out: Path, cache: Path | None) -> tuple[float, float, float]:
-    """One study: seconds, simulated seconds a second, and GiB of all its processes at most."""
+    """Run a study; return seconds, simulated seconds a second, and peak GiB of its processes."""
     command = [
         str(Path(sys.executable).with_name("jaxreplay")),
         "run",
@@ -121,17 +122,17 @@ def _watch(process: psutil.Process, peak: list[int]):
 
 
 def parts(config, records) -> dict[str, float]:
-    """Where the time of one core goes, for 56 runs; µs a control step of one run."""
+    """Print and return where one core's time goes, for 56 runs: µs a control step of one run."""
     keep_compiled()
     runs = runs_of(config)
     sample = runs.of(np.unique(np.linspace(0, len(runs) - 1, 56).astype(int)))
     replays_of(config, records, sample)  # compiles
     spent = defaultdict(float)
     with (
-        timed(spent, "filter", Tracker, "advance"),
+        timed(spent, "filter", Tracker, "observe"),
         timed(spent, "plane", PlaneVectorEnv, "step"),
-        timed(spent, "sensors", PlaneVectorEnv, "_look"),
-        timed(spent, "physics", env, "advance"),
+        timed(spent, "sensors", PlaneVectorEnv, "_observe"),
+        timed(spent, "physics", World, "advance"),
     ):
         began = time.perf_counter()
         steps = int(replays_of(config, records, sample).steps.sum())
@@ -152,19 +153,19 @@ def parts(config, records) -> dict[str, float]:
 
 @contextmanager
 def on_one_core():
-    """This process alone, where that can be told."""
+    """Restrict this process to one core, where the system allows it."""
     if not hasattr(os, "sched_setaffinity"):
         yield
         return
     mine = os.sched_getaffinity(0)
     os.sched_setaffinity(0, {min(mine)})
     yield
-    os.sched_setaffinity(0, mine)  # those that are started from here on get all again
+    os.sched_setaffinity(0, mine)  # processes started from here on get all again
 
 
 @contextmanager
 def timed(spent: dict[str, float], name: str, owner, attribute: str):
-    """Add up the time that a function takes."""
+    """Add up the time that calls of a function take."""
     function = getattr(owner, attribute)
 
     def measured(*args):
@@ -180,8 +181,8 @@ def timed(spent: dict[str, float], name: str, owner, attribute: str):
 
 
 def large(records: jr.Records, folder: Path) -> dict:
-    """Grids of two sizes, alike in all else."""
-    told, file = {}, folder / "short.npz"
+    """Run grids of two sizes, all else being equal; print and return their costs."""
+    found, file = {}, folder / "short.npz"
     sensors, commands = ([rows[:SHORT] for rows in each] for each in records.sequences())
     names = records.sensor_names, records.command_names
     jr.Records.from_sequences(sensors, commands, *names, records.period).save(file)
@@ -192,9 +193,9 @@ def large(records: jr.Records, folder: Path) -> dict:
         sets = [word for change in changes for word in ("--set", change)]
         name = f"{1000 * repeats:,}, {workers} worker{'s' * (workers > 1)}"
         wall, rate, peak = run([*sets, "--workers", str(workers)], folder / name, None)
-        told[name] = {"wall": wall, "rate": rate, "peak": peak}
+        found[name] = {"wall": wall, "rate": rate, "peak": peak}
         print(f"{name:22}{wall:9.1f}{rate:15.0f}{peak:11.2f}", flush=True)
-    return told
+    return found
 
 
 if __name__ == "__main__":

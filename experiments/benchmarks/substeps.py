@@ -1,12 +1,12 @@
-"""How many physics substeps a control step (0.1 s) needs: what fewer of them change.
+"""How many physics substeps does a control step (0.1 s) need: what do fewer of them change?
 
     python experiments/benchmarks/substeps.py [--worlds 32] [--json FILE]
 
 The same open-loop action logs, without wheel noise, in worlds whose cubes lie slightly differently;
-each world is compared with the same one at 160 substeps, at the end of the log and, the robot, also
-where they were furthest apart on the way. Contact amplifies differences in some worlds and a grasp
-is all or nothing: one large difference is no failure to converge, a median that does not fall is.
-The row "noise" is the yardstick: the reference with the wheel noise that every run has. A teacher
+each world is compared with the same one at 160 substeps: at the end of the log and, for the robot,
+also where they were furthest apart on the way. Contact amplifies differences in some worlds and a
+grasp is all or nothing: one large difference is no failure to converge, a median that does not fall
+is. The row "noise" is the yardstick: the reference with the wheel noise of every run. A teacher
 drives at 1–3 motor units, these at 2–8; "fast push" and "stop" (from top speed, pushing the cube)
 are beyond. All counts advance side by side, each control step timed in turn; the time is the
 median, whole environment included. Machines are noisy: trust the ratios.
@@ -70,11 +70,11 @@ def main():
 
 
 def compare(cube, spread, log, n):
-    """A row of the table for each count of substeps, from `n` worlds."""
+    """Yield a row of the table for each count of substeps, from `n` worlds."""
     cubes = cube + np.random.default_rng(0).uniform(-1, 1, (n, 3)) * spread
     params = {count: replace(P, wheel_noise=0.0, substeps=count) for count in (*COUNTS, REFERENCE)}
     params["noise"] = replace(P, substeps=REFERENCE)
-    rivals = {name: PlaneVectorEnv(n, told) for name, told in params.items()}
+    rivals = {name: PlaneVectorEnv(n, given) for name, given in params.items()}
     took, way = ({name: [] for name in rivals} for _ in range(2))
     for worlds in rivals.values():
         worlds.reset(seed=0, options={"cube": cubes})

@@ -1,4 +1,4 @@
-"""The work that rivals of `filter_step.py` are measured on, and how exact they must be."""
+"""The work on which `filter_step.py` measures its rivals, and how exact they must be."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -14,7 +14,7 @@ class Work(NamedTuple):
     """N records of one length, and observations along the first of them.
 
     Attributes:
-        sensors: `[N, L, n_s]` float64 that float32 holds exactly, as all here.
+        sensors: `[N, L, n_s]` float64, exact in float32 as all values here.
         commands: `[N, L, n_u]`.
         observations: `[T, B, n_s]` for B replays, each with noise of its own.
         jump: the reading of a jump.
@@ -41,7 +41,7 @@ class Rival(NamedTuple):
 
 
 def make_work(jump, n, length, replays, steps, n_sensors=7, n_commands=5) -> Work:
-    """Records that are random walks, and the first of them observed at its pace."""
+    """Return records that are random walks, and observations along the first at its pace."""
     rng = np.random.default_rng(0)
     sensors = _exact(0.02 * rng.normal(size=(n, length, n_sensors)).cumsum(axis=1))
     commands = _exact(rng.normal(size=(n, length, n_commands)))
@@ -51,7 +51,7 @@ def make_work(jump, n, length, replays, steps, n_sensors=7, n_commands=5) -> Wor
 
 
 def first_prediction(work: Work) -> np.ndarray:
-    """Equations 5 and 6: the belief `[N, L]` before the first command, in either reading."""
+    """Return the belief `[N, L]` of equations 5 and 6 before the first command; both readings."""
     n, length, _ = work.sensors.shape
     belief = np.zeros((n, length))
     belief[:, :3] = np.array([THETA_TAU, 1 - 2 * THETA_TAU, THETA_TAU]) / n
@@ -59,30 +59,30 @@ def first_prediction(work: Work) -> np.ndarray:
 
 
 def reference_beliefs(work: Work):
-    """For each step of the first replay: p(I, τ), command, p(end), and what is tolerated.
+    """Yield p(I, τ), command, p(end) and the tolerance of each step of the first replay.
 
-    float32 is granted 1e-5 + 1e-6 (m + t) in the posterior after t steps, m being the largest
-    distance, in σ, between an observation and the sample nearest to it.
+    float32 may be off by 1e-5 + 1e-6 (m + t) in the posterior after t steps, m being the
+    largest distance, in σ, between an observation and the sample nearest to it.
     """
     sensors, commands = list(work.sensors), list(work.commands)
-    sigma = np.full(work.sensors.shape[-1], SIGMA)
-    start = reference.initial(sensors)
-    belief = reference.predict(sensors, THETA_I, THETA_TAU, start, work.jump)
+    params = reference.Params(THETA_I, THETA_TAU, np.full(work.sensors.shape[-1], SIGMA))
+    belief = reference.predict(sensors, params, reference.init(sensors), work.jump)
     furthest = 0.0
     for t, z in enumerate(work.observations[:, 0]):
         apart = np.linalg.norm((work.sensors - z) / SIGMA, axis=-1)
         furthest = max(furthest, apart.min())
-        belief, _ = reference.update(sensors, sigma, belief, z)
+        belief, _ = reference.update(sensors, params, belief, z)
         ended = reference.end_probability(sensors, belief)
-        belief = reference.predict(sensors, THETA_I, THETA_TAU, belief, work.jump)
+        belief = reference.predict(sensors, params, belief, work.jump)
         tolerated = 1e-5 + 1e-6 * (furthest + t + 1)
         yield np.exp(belief), reference.command(commands, belief), ended, tolerated
 
 
 def errors(rival: Rival, work: Work, truth: list) -> dict[str, float]:
-    """The largest errors of a rival's first replay, and of its posterior as a share of tolerance.
+    """Return the largest errors of a rival's first replay.
 
-    A command's is a share of the commands' range.
+    The command's is a share of the commands' range; `share` is the posterior's as a share of the
+    tolerance.
     """
     state, largest = rival.begin(), dict.fromkeys(("posterior", "command", "end", "share"), 0.0)
     for z, (belief, command, ended, tolerated) in zip(work.observations, truth, strict=True):

@@ -1,4 +1,9 @@
-"""A robot, a cube and an experimental area on a plane; knows nothing of the filter."""
+"""A simulated robot that fetches a cube on a plane (§ 3), as Gymnasium environments.
+
+Everything here takes and returns arrays; nothing here imports records, filters or studies. `env`
+has B worlds that advance together, `single` has one world; both are built from `world` (physics),
+`actuators` and `sensors`, with the constants of `params`.
+"""
 
 import gymnasium
 

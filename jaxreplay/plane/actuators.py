@@ -1,4 +1,4 @@
-"""What becomes of a command in tracks, servos and magnet, for B worlds at once."""
+"""Tracks, servos and magnet: what they do with a command, for B worlds at once."""
 
 from typing import NamedTuple
 
@@ -9,7 +9,14 @@ from jaxreplay.plane.sensors import Pose, in_frame
 
 
 class Settings(NamedTuple):
-    """What may differ between worlds, each `[B]`; see :class:`PlaneParams`."""
+    """The properties that can differ between worlds.
+
+    Attributes:
+        motor_unit: `[B]` resolution of the track speeds, m/s.
+        dithering: `[B]` 1 where the tracks dither, 0 where they round.
+        battery: `[B]` voltage, as a share of a full battery's.
+        sensor_noise: `[B]` factor on the noise of all sensors.
+    """
 
     motor_unit: np.ndarray
     dithering: np.ndarray
@@ -24,19 +31,24 @@ def track_speeds(
     chance: np.ndarray,
     noise: np.ndarray,
 ) -> np.ndarray:
-    """Speeds `[B, 2]` in m/s of tracks told to run at `command` `[B, 2]`, in m/s.
+    """Compute the speeds at which the tracks run, `[B, 2]` in m/s.
 
-    They run at whole motor units, the nearest ones; with dithering (§ 3), the one above with a
-    probability equal to the fraction, so that the mean is what was commanded.
+    A track runs at a whole number of motor units: the nearest one or, with dithering (§ 3), the
+    one below or above the commanded number w,
+
+        ⌊w⌋ + 1 with probability w − ⌊w⌋, else ⌊w⌋,
+
+    whose mean is w.
 
     Args:
         params: the constants.
-        settings: of the worlds.
-        command: `[B, 2]` left and right.
+        settings: the settings of the worlds.
+        command: `[B, 2]` commanded speeds of the left and right track, m/s.
         chance: `[B, 2]` uniform in [0, 1).
         noise: `[B, 2]` uniform in [−1, 1).
     """
     unit = settings.motor_unit[:, None]
+    # 1e-9: a top speed of a whole number of units stays so when the division rounds down.
     limit = np.floor(params.top_speed / unit + 1e-9)
     wanted = np.clip(command / unit, -limit, limit)
     dithered = np.clip(np.floor(wanted + chance), -limit, limit)
@@ -45,15 +57,15 @@ def track_speeds(
 
 
 class Servo(NamedTuple):
-    """An axis controlled in position. SI units.
+    """An axis controlled in position; positions in m or rad.
 
     Attributes:
-        low: least position.
-        high: greatest position.
-        speed: on a full battery, per s.
-        resolution: set points are rounded to its multiples.
-        dead_band: a servo this close to its set point stays where it is.
-        restart: s that it stands still after a new set point arrived.
+        low: lowest position.
+        high: highest position.
+        speed: on a full battery, m/s or rad/s.
+        resolution: set points are rounded to multiples of it.
+        dead_band: a servo no further than this from its set point does not move.
+        restart: s for which it stands still after its set point has changed.
     """
 
     low: float
@@ -71,10 +83,18 @@ class Servo(NamedTuple):
         battery: np.ndarray,
         period: float,
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Position and set point, `[B]` each, after one control step.
+        """Return positions and set points after one control step, `[B]` each.
 
         "They do not cope well with rapid changes of set points" (§ 3): each change costs the
-        time of a restart, so one whose set point changes every step moves for part of it only.
+        time of a restart, so a servo whose set point changes at every step moves for only a part
+        of each step.
+
+        Args:
+            position: `[B]` before the step.
+            set_point: `[B]` of the step before.
+            command: `[B]` the new set points, not yet rounded; clipped to the servo's range.
+            battery: `[B]` share of the full voltage.
+            period: duration of the step, s.
         """
         wanted = np.rint(np.clip(command, self.low, self.high) / self.resolution) * self.resolution
         wanted = np.clip(wanted, self.low, self.high)
@@ -86,7 +106,7 @@ class Servo(NamedTuple):
 
 
 def elevation_servo(params: PlaneParams) -> Servo:
-    """The one that raises the gripper."""
+    """Return the servo that raises the gripper, in m."""
     p = params
     return Servo(
         p.low, p.high, p.elevation_speed, p.elevation_resolution, p.elevation_dead_band,
@@ -95,15 +115,15 @@ def elevation_servo(params: PlaneParams) -> Servo:
 
 
 def tilt_servo(params: PlaneParams) -> Servo:
-    """The one that turns the gripper's head."""
+    """Return the servo that tilts the gripper's head, in rad."""
     p = params
     return Servo(
         0.0, p.scanning_tilt, p.tilt_speed, p.tilt_resolution, p.tilt_dead_band, p.servo_restart
     )
 
 
-def rests_on_cube(params: PlaneParams, pose: Pose) -> np.ndarray:
-    """`[B]` least height of the head: lowered over the cube it comes to rest on it."""
+def lowest_elevation(params: PlaneParams, pose: Pose) -> np.ndarray:
+    """Return the lowest height that the head can reach, `[B]` in m: over the cube, its top."""
     ahead, left = in_frame(pose.robot, pose.cube[:, :2])
     turned = pose.cube[:, 2] - pose.robot[:, 2]
     extent = params.side / 2 * (np.abs(np.cos(turned)) + np.abs(np.sin(turned)))
@@ -113,12 +133,12 @@ def rests_on_cube(params: PlaneParams, pose: Pose) -> np.ndarray:
     return np.where(over & (pose.elevation >= top), top, params.low)
 
 
-def magnet_to_face(params: PlaneParams, pose: Pose) -> tuple[np.ndarray, ...]:
-    """Where the magnet is before the face of the cube that is turned to it, each `[B]`.
+def magnet_to_face(params: PlaneParams, pose: Pose) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Compute where the magnet is relative to the cube's face that is turned to it.
 
     Returns:
-        The gap to the face's plane (m, negative inside), the lateral distance to the face's
-        centre (m, signed) and the angle between magnet and face (rad, signed).
+        The gap to the face's plane (m, negative inside the cube), the lateral distance to the
+        face's centre (m, signed) and the angle between magnet and face (rad, signed), `[B]` each.
     """
     heading = pose.robot[:, 2]
     magnet = pose.robot[:, :2] + params.reach * np.stack([np.cos(heading), np.sin(heading)], 1)
@@ -129,17 +149,29 @@ def magnet_to_face(params: PlaneParams, pose: Pose) -> tuple[np.ndarray, ...]:
     return -inward - params.side / 2, lateral, heading - face[:, 2]
 
 
-def magnet_hold(params: PlaneParams, lateral: np.ndarray, angle: np.ndarray) -> np.ndarray:
-    """Force in N, `[B]`, that a magnet can hold a face with; 0 is no hold.
+def holding_force(
+    params: PlaneParams, lateral: np.ndarray, angle: np.ndarray | float
+) -> np.ndarray:
+    """Compute the largest force with which the magnet holds a face, `[B]` in N; 0: it cannot.
 
-    A face that is roughly square to it is drawn flush; the further beside its centre, the less
-    of the magnet is covered (assumption: in proportion).
+    A face that is roughly square to the magnet is drawn flush. The further it is from the
+    magnet's centre, the less of the magnet it covers (assumption: in proportion):
+
+        force = magnet_force · max(1 − |lateral| / magnet_offset, 0)
+
+    Args:
+        params: the constants.
+        lateral: `[B]` distance to the face's centre, m.
+        angle: `[B]` to the face, rad.
     """
-    beside = np.maximum(1 - np.abs(lateral) / params.magnet_offset, 0)
-    return np.where(np.abs(angle) < params.magnet_angle, params.magnet_force * beside, 0.0)
+    covered = np.maximum(1 - np.abs(lateral) / params.magnet_offset, 0)
+    return np.where(np.abs(angle) < params.magnet_angle, params.magnet_force * covered, 0.0)
 
 
 def tips(params: PlaneParams, force: np.ndarray) -> np.ndarray:
-    """`[B]` whether a lifted cube tips off this hold (N): its weight acts half a side ahead."""
+    """Return whether a lifted cube tips off a magnet that holds it with this force (N), `[B]`.
+
+    The cube's weight acts half a side ahead of the face that is held.
+    """
     weight = params.cube_mass * GRAVITY
     return force * params.magnet_radius < weight * params.side / 2

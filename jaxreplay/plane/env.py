@@ -1,5 +1,6 @@
-"""The plane as a Gymnasium vector environment: B worlds in slots."""
+"""The plane as a Gymnasium vector environment: B worlds that advance together."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import gymnasium
@@ -9,60 +10,66 @@ from gymnasium.vector import AutoresetMode
 from jaxreplay.plane.actuators import (
     Settings,
     elevation_servo,
-    magnet_hold,
+    holding_force,
+    lowest_elevation,
     magnet_to_face,
-    rests_on_cube,
     tilt_servo,
     tips,
     track_speeds,
 )
-from jaxreplay.plane.options import SETTINGS, seeds_of, told
+from jaxreplay.plane.options import SETTINGS, parse_options, seeds_of
 from jaxreplay.plane.params import PlaneParams
 from jaxreplay.plane.sensors import Pose, camera, proximeters
 from jaxreplay.plane.stall import STALL_SECONDS, stall
-from jaxreplay.plane.stepping import advance
 from jaxreplay.plane.world import World
 
 METADATA = {"render_modes": ["rgb_array"], "render_fps": 10}
 
 
 def _spaces(params: PlaneParams) -> tuple[gymnasium.spaces.Box, gymnasium.spaces.Box]:
+    """Return the spaces of one world's observations and actions."""
     top = params.top_speed
-    seen = gymnasium.spaces.Box(np.array([-1] + 6 * [0], np.float32), np.ones(7, np.float32))
-    sent = gymnasium.spaces.Box(
+    observations = gymnasium.spaces.Box(
+        np.array([-1] + 6 * [0], np.float32), np.ones(7, np.float32)
+    )
+    actions = gymnasium.spaces.Box(
         np.array([-top, -top, params.low, 0, 0], np.float32),
         np.array([top, top, params.high, params.scanning_tilt, 1], np.float32),
     )
-    return seen, sent
+    return observations, actions
 
 
 class PlaneVectorEnv(gymnasium.vector.VectorEnv):
-    """B robots, each with a cube to fetch, advancing together.
+    """B robots, each with a cube to fetch, that advance together.
 
-    **Observation** `[B, 7]`: the cube's x in the image, and six proximeters.
-    **Action** `[B, 5]`: left and right track (m/s; the robot runs them at whole motor units),
-    set points of elevation (m) and tilt (rad), magnet (on above 0.5). Beyond an actuator's
-    limits they are clipped.
-    **Reward**: 1 while the cube is held and lifted. That is no end: a robot may still let go.
-    **Terminated**: the hull crosses the border of the experimental area. **Truncated**: the time
-    limit (3 minutes) is over. A world that ended rests until it is reset, and so does one that
-    the caller puts into `resting`: it stands still and costs nothing.
-    **Info**: `is_success` (the cube is held and lifted), `alignment_error` (lateral distance
-    from the magnet's centre to the centre of the face it took hold of, m; not told before) and
-    `stall` ("fixed", "cyclic" or "slow" once truncated, else empty).
+    **Observation** `[B, 7]` float32: the cube's x in the camera image, −1 … 1, and six
+    proximeters, 0 … 1.
+    **Action** `[B, 5]`: speeds of the left and right track (m/s; the robot runs them at whole
+    motor units), set points of elevation (m) and tilt (rad), magnet (on above 0.5). Actions
+    beyond an actuator's limits are clipped.
+    **Reward** `[B]`: 1 while the cube is held and lifted, else 0. That does not end the run: a
+    robot may still release the cube.
+    **Terminated** `[B]`: the hull crosses the border of the experimental area. **Truncated**
+    `[B]`: the time limit (3 minutes) is over. A world that has ended rests until it is reset:
+    it stands still and is not simulated. The caller can make worlds rest by setting `resting`.
+    **Info**, `[B]` each: `is_success`, whether the cube is held and lifted; `alignment_error`,
+    the lateral distance (m) from the magnet's centre to the centre of the face that it last
+    grasped, NaN before the first grasp; `stall`, "fixed", "cyclic" or "slow" where the run is
+    truncated, else empty.
 
-    **Reset** restarts all worlds or those in `options["reset_mask"]`, in a slot as if alone and
-    new. Other options, each with a value per slot: `cube` `[B, 3]` x, y (m) and angle (rad);
-    `motor_unit` (m/s), `dithering`, `battery` (share of the full voltage), `sensor_noise`
-    (factor). A cube not told of is laid anywhere 25–40 cm ahead and within 10 cm aside, a face
-    turned to the robot. All chance in a world comes from its own seed.
+    **Reset** restarts all worlds, or those marked in `options["reset_mask"]` (`[B]` bool). A
+    restarted world behaves as if it were new and the only one: all chance in it comes from its
+    own seed. Other options, each with one value per slot: `cube` `[B, 3]`, x, y (m) and angle
+    (rad); `motor_unit` (m/s), `dithering`, `battery` (share of the full voltage), `sensor_noise`
+    (factor). Without `cube`, a cube is placed at random 25–40 cm ahead and up to 10 cm to either
+    side, with a face turned to the robot.
 
     Attributes:
         params: the constants.
-        pose: where everything is, see :class:`Pose`.
-        held: `[B]` whether the magnet holds the cube.
-        alignment_error: `[B]`, as in the info.
-        resting: `[B]` which worlds rest.
+        pose: where robots, cubes and grippers are, see :class:`Pose`.
+        held: `[B]` bool, whether the magnet holds the cube.
+        alignment_error: `[B]` in m, as in the info.
+        resting: `[B]` bool, the worlds that rest.
     """
 
     metadata = METADATA | {"autoreset_mode": AutoresetMode.DISABLED}
@@ -73,7 +80,7 @@ class PlaneVectorEnv(gymnasium.vector.VectorEnv):
         params: PlaneParams | None = None,
         render_mode: str | None = None,
     ):
-        """B slots; `reset` puts worlds into them."""
+        """Make B slots; `reset` puts worlds into them."""
         self.num_envs, self.render_mode = num_envs, render_mode
         self.params = params or PlaneParams()
         p, n = self.params, num_envs
@@ -83,51 +90,57 @@ class PlaneVectorEnv(gymnasium.vector.VectorEnv):
             for space in (self.single_observation_space, self.single_action_space)
         )
         self._servos = elevation_servo(p), tilt_servo(p)
-        self._worlds: list[World | None] = [None] * n
+        self._worlds: dict[int, World] = {}  # by slot; empty slots rest
         self.pose = Pose(np.zeros((n, 3)), np.zeros((n, 3)), np.full(n, p.high), np.zeros(n))
         self._set_points = np.zeros((n, 2))
         self.held = np.zeros(n, bool)
-        self._taken = np.zeros((n, 2))  # lateral and elevation when taking hold
+        self._grasped_at = np.zeros((n, 2))  # lateral distance and elevation, m
         self.alignment_error = np.full(n, np.nan)
         self.resting = np.ones(n, bool)
-        self._above = np.zeros(n, bool)
+        self._gripper_above = np.zeros(n, bool)
         self._off_floor = np.zeros(n, bool)
-        self._seen = np.zeros(n)
-        self._observed = np.zeros((n, 7))
+        self._camera = np.zeros(n)
+        self._observations = np.zeros((n, 7))
         self._step = np.zeros(n, int)
         self._settings = Settings(*(np.full(n, getattr(p, name), float) for name in SETTINGS))
-        # Drawn as a world starts, so that its noise depends on nothing but its seed and step:
-        # wheels 2, dithering 2, camera, proximeters 6.
+        # All noise of a world is drawn when it starts, so that it depends on its seed and step
+        # alone. Columns: wheel noise 2, dithering 2, camera 1, proximeters 6.
         self._noise = np.zeros((n, p.max_steps + 1, 11))
         self._trail = np.zeros((n, round(STALL_SECONDS / p.control_period), 5))
 
     def reset(
         self,
         *,
-        seed: int | list[int | None] | None = None,
+        seed: int | Sequence[int | None] | None = None,
         options: dict[str, Any] | None = None,
     ) -> tuple[np.ndarray, dict[str, Any]]:
-        """Restart worlds; see the class.
+        """Restart worlds and return all observations `[B, 7]` and the info, see the class.
+
+        Args:
+            seed: one seed for each slot, None for a drawn one; or one whole number s, for the
+                seeds s, s + 1, …
+            options: see the class.
 
         Raises:
-            ValueError: an option that is unknown, has the wrong shape or is out of range, or
-                seeds that are not one for each slot.
+            ValueError: an option is unknown, has the wrong shape or is out of range, or there is
+                not one seed for each slot. No world is changed then.
         """
         n = self.num_envs
         options = dict(options or {})
         mask = np.asarray(options.pop("reset_mask", np.ones(n, bool)))
         if mask.shape != (n,) or mask.dtype != bool:
             raise ValueError(f"reset_mask must be {n} booleans; got {mask.dtype} {mask.shape}")
-        cubes, settings = told(options, n, self.params)
+        cubes, settings = parse_options(options, n, self.params)
         seeds = seeds_of(seed, n)
         super().reset(seed=int(seed) if isinstance(seed, int | np.integer) else None)
-        for b in np.flatnonzero(mask):
-            chosen = self.np_random.integers(2**63) if seeds[b] is None else seeds[b]
-            self._start(b, int(chosen), cubes[b], settings)
-        self._look(mask)
-        return self._observed.astype(np.float32), self._info()
+        for b in np.flatnonzero(mask).tolist():
+            chosen = self.np_random.integers(2**63) if (own := seeds[b]) is None else own
+            self._start_world(b, int(chosen), cubes[b], settings)
+        self._observe(mask)
+        return self._observations.astype(np.float32), self._info()
 
-    def _start(self, b: int, seed: int, cube: np.ndarray, settings: Settings):
+    def _start_world(self, b: int, seed: int, cube: np.ndarray, settings: Settings) -> None:
+        """Put a new world into slot b, with the cube `[3]`, at random where that is NaN."""
         p = self.params
         placing, noisy = (np.random.default_rng([seed, k]) for k in range(2))
         if np.isnan(cube).any():
@@ -136,21 +149,26 @@ class PlaneVectorEnv(gymnasium.vector.VectorEnv):
         self._noise[b] = noisy.uniform(-1, 1, self._noise[b].shape)
         self._noise[b, :, 2:4] = (self._noise[b, :, 2:4] + 1) / 2
         self._noise[b, :, 4] = noisy.standard_normal(len(self._noise[b]))
-        for held, given in zip(self._settings, settings, strict=True):
-            held[b] = given[b]
+        for current, new in zip(self._settings, settings, strict=True):
+            current[b] = new[b]
         self._worlds[b] = World(p, cube)
         self.pose.robot[b], self.pose.cube[b] = 0.0, cube
         self.pose.elevation[b], self.pose.tilt[b] = p.high, 0.0
         self._set_points[b] = p.high, 0.0
-        self.held[b] = self._above[b] = self._off_floor[b] = self.resting[b] = False
+        self.held[b] = self._gripper_above[b] = self._off_floor[b] = self.resting[b] = False
         self.alignment_error[b] = np.nan
-        self._seen[b] = self._step[b] = 0
+        self._camera[b] = self._step[b] = 0
 
-    def step(self, actions: np.ndarray) -> tuple[np.ndarray, ...]:
-        """Carry out one control step in all worlds that don't rest, and observe.
+    def step(
+        self, actions: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
+        """Carry out one control step in all worlds that do not rest.
+
+        Returns:
+            Observations `[B, 7]`, rewards, terminated, truncated (`[B]` each) and the info.
 
         Raises:
-            ValueError: the actions are not finite, or not `[B, 5]`.
+            ValueError: the actions are not `[B, 5]`, or not finite.
         """
         actions = np.asarray(actions, float)
         if actions.shape != (self.num_envs, 5) or not np.isfinite(actions).all():
@@ -164,8 +182,8 @@ class PlaneVectorEnv(gymnasium.vector.VectorEnv):
         speeds = track_speeds(p, self._settings, actions[:, :2], noise[:, 2:4], noise[:, :2])
         forward = speeds.mean(axis=1)
         turn = (speeds[:, 1] - speeds[:, 0]) / p.track_separation
-        for b in np.flatnonzero(going):
-            moved = advance(self._worlds[b], forward[b], turn[b])
+        for b, world in self._worlds_in(going):
+            moved = world.advance(forward[b], turn[b])
             self.pose.robot[b], self.pose.cube[b] = moved[:3], moved[3:]
         self._grasp(going & (actions[:, 4] > 0.5), going & (actions[:, 4] <= 0.5))
 
@@ -173,13 +191,13 @@ class PlaneVectorEnv(gymnasium.vector.VectorEnv):
         gripper = np.stack([self.pose.elevation, self.pose.tilt], axis=1)
         self._trail[np.arange(self.num_envs), at] = np.hstack([self.pose.robot, gripper])
         self._step[going] += 1
-        self._look(going)
+        self._observe(going)
         terminated = self.outside & going
         truncated = (self._step == p.max_steps) & going & ~terminated
         self.resting |= terminated | truncated
         reward = np.where(going & self.lifted, 1.0, 0.0)
         return (
-            self._observed.astype(np.float32),
+            self._observations.astype(np.float32),
             reward,
             terminated,
             truncated,
@@ -188,18 +206,18 @@ class PlaneVectorEnv(gymnasium.vector.VectorEnv):
 
     @property
     def lifted(self) -> np.ndarray:
-        """`[B]` whether the cube is held off the floor."""
-        return self.held & (self.pose.elevation >= self._taken[:, 1] + self.params.lift)
+        """`[B]` bool, whether the cube is held and raised by the height that counts as lifted."""
+        return self.held & (self.pose.elevation >= self._grasped_at[:, 1] + self.params.lift)
 
     @property
     def outside(self) -> np.ndarray:
-        """`[B]` whether the robot's hull crosses the border of the area."""
+        """`[B]` bool, whether the robot's hull crosses the border of the experimental area."""
         (x, y), r = self.pose.robot[:, :2].T, self.params.hull_radius
         x0, x1, y0, y1 = self.params.area
         return (x - r < x0) | (x + r > x1) | (y - r < y0) | (y + r > y1)
 
     def render(self) -> tuple[np.ndarray, ...]:
-        """A picture of each world from above, `[H, W, 3]` of bytes."""
+        """Return a picture of each world from above, `[H, W, 3]` uint8."""
         from jaxreplay.plane.drawing import picture
 
         each = (Pose(*(x[b : b + 1] for x in self.pose)) for b in range(self.num_envs))
@@ -207,9 +225,14 @@ class PlaneVectorEnv(gymnasium.vector.VectorEnv):
             picture(self.params, pose, held) for pose, held in zip(each, self.held, strict=True)
         )
 
-    def _move_gripper(self, actions: np.ndarray, going: np.ndarray):
+    def _worlds_in(self, mask: np.ndarray) -> list[tuple[int, World]]:
+        """Return the slots in the mask `[B]`, each with its world."""
+        return [(b, self._worlds[b]) for b in np.flatnonzero(mask).tolist()]
+
+    def _move_gripper(self, actions: np.ndarray, going: np.ndarray) -> None:
+        """Move elevation and tilt of the worlds that are simulated (`going`, `[B]`)."""
         p, pose = self.params, self.pose
-        floor = np.where(self.held, p.low, rests_on_cube(p, pose))
+        floor = np.where(self.held, p.low, lowest_elevation(p, pose))
         for k, (servo, position) in enumerate(
             zip(self._servos, (pose.elevation, pose.tilt), strict=True)
         ):
@@ -221,51 +244,58 @@ class PlaneVectorEnv(gymnasium.vector.VectorEnv):
                 moved = np.maximum(moved, floor)
             position[going], self._set_points[going, k] = moved[going], wanted[going]
         above = (pose.elevation - p.head >= p.side) & ~self.held
-        for b in np.flatnonzero(going & (above != self._above)):
-            self._worlds[b].raise_gripper(above[b])
-        self._above[going] = above[going]
+        for b, world in self._worlds_in(going & (above != self._gripper_above)):
+            world.set_gripper_above(above[b])
+        self._gripper_above[going] = above[going]
 
-    def _grasp(self, on: np.ndarray, off: np.ndarray):
-        """Let magnets take hold of what they touch, and let go of what they cannot hold."""
+    def _grasp(self, on: np.ndarray, off: np.ndarray) -> None:
+        """Attach cubes to the magnets that touch them, and release those that cannot be held.
+
+        Args:
+            on: `[B]` worlds that are simulated with the magnet on.
+            off: `[B]` worlds that are simulated with the magnet off.
+        """
         p, pose = self.params, self.pose
         gap, lateral, angle = magnet_to_face(p, pose)
-        force = magnet_hold(p, lateral, angle)
-        at, raised = self._taken[:, 0], pose.elevation > self._taken[:, 1]
+        force = holding_force(p, lateral, angle)
+        at, raised = self._grasped_at[:, 0], pose.elevation > self._grasped_at[:, 1]
         slipped = np.hypot(gap, lateral - at) > p.magnet_gap
         turned = np.abs(angle) > p.magnet_angle
         going = on | off
         lost = off | slipped | turned | (pose.tilt >= p.grasping_tilt)
-        lost |= raised & tips(p, magnet_hold(p, at, 0.0))
+        lost |= raised & tips(p, holding_force(p, at, 0.0))
         lost &= self.held & going
-        for b in np.flatnonzero(lost):
-            self._worlds[b].release()
+        for _, world in self._worlds_in(lost):
+            world.release()
         self.held &= ~lost
 
         ready = on & ~self.held & ~lost & (pose.tilt < p.grasping_tilt)
         ready &= pose.elevation < p.low + p.side / 2
         ready &= (gap < p.magnet_gap) & (gap > -p.side / 2)
         ready &= force > 0
-        for b in np.flatnonzero(ready):
-            self._worlds[b].hold(force[b], force[b] * p.magnet_radius)
-            self._taken[b] = lateral[b], pose.elevation[b]
+        for b, world in self._worlds_in(ready):
+            world.attach(force[b], force[b] * p.magnet_radius)
+            self._grasped_at[b] = lateral[b], pose.elevation[b]
         self.alignment_error[ready] = np.abs(lateral[ready])
         self.held |= ready
 
-        off_floor = self.held & (pose.elevation > self._taken[:, 1])
-        for b in np.flatnonzero(off_floor != self._off_floor):
-            self._worlds[b].raise_cube(off_floor[b])
+        off_floor = self.held & (pose.elevation > self._grasped_at[:, 1])
+        for b, world in self._worlds_in(off_floor != self._off_floor):
+            world.set_cube_off_floor(off_floor[b])
         self._off_floor = off_floor
 
-    def _look(self, mask: np.ndarray):
+    def _observe(self, mask: np.ndarray) -> None:
+        """Update the observations of the worlds in the mask `[B]`."""
         p = self.params
         noise = self._noise[np.arange(self.num_envs), self._step, 4:]
         noise *= self._settings.sensor_noise[:, None]
-        seen = camera(p, self.pose, self._seen, p.camera_noise * noise[:, 0])
+        seen = camera(p, self.pose, self._camera, p.camera_noise * noise[:, 0])
         near = proximeters(p, self.pose, p.proximeter_noise * noise[:, 1:])
-        self._seen[mask] = seen[mask]
-        self._observed[mask] = np.column_stack([seen, near])[mask]
+        self._camera[mask] = seen[mask]
+        self._observations[mask] = np.column_stack([seen, near])[mask]
 
     def _info(self, truncated: np.ndarray | None = None) -> dict[str, Any]:
+        """Return the info of all worlds, with the stalls of those truncated (`[B]`)."""
         n = self.num_envs
         stalls = np.full(n, "", dtype="<U6")
         for b in np.flatnonzero(truncated) if truncated is not None else ():
@@ -279,5 +309,5 @@ class PlaneVectorEnv(gymnasium.vector.VectorEnv):
             "alignment_error": self.alignment_error.copy(),
             "stall": stalls,
         }
-        told = {f"_{name}": np.ones(n, bool) for name in info}
-        return info | told | {"_alignment_error": np.isfinite(self.alignment_error)}
+        present = {f"_{name}": np.ones(n, bool) for name in info}  # Gymnasium's convention
+        return info | present | {"_alignment_error": np.isfinite(self.alignment_error)}

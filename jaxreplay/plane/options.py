@@ -1,15 +1,15 @@
-"""What a world can be told as it is started, checked."""
+"""The options and seeds with which worlds are started, checked."""
 
-import difflib
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
+from jaxreplay.errors import suggest
 from jaxreplay.plane.actuators import Settings
 from jaxreplay.plane.params import PlaneParams
 
-SETTINGS = {  # what may be told of a world, and between what
+SETTINGS: dict[str, tuple[float, float]] = {  # lowest and highest value, see `Settings`
     "motor_unit": (1e-6, 0.3),
     "dithering": (0, 1),
     "battery": (0.05, 1.5),
@@ -17,23 +17,26 @@ SETTINGS = {  # what may be told of a world, and between what
 }
 
 
-def unknown(name: str, known: Sequence[str]) -> str:
-    """The rest of a message about a name that is none of the known, which it tells."""
-    near = difflib.get_close_matches(name, known, n=1)
-    hint = f"; did you mean {near[0]}?" if near else ""
-    return f"{name}{hint} (known: {', '.join(known)})"
-
-
 def seed_of(*key: int) -> int:
-    """One seed from several numbers, as a study's seed and a run's place in it."""
+    """Return one seed made from several numbers, such as a study's seed and a run's index."""
     return int(np.random.SeedSequence(key).generate_state(1, np.uint64)[0])
 
 
-def seeds_of(seed: Any, n: int) -> list[int | None]:
-    """One for each of n slots, as Gymnasium means it."""
+def seeds_of(seed: int | Sequence[int | None] | None, n: int) -> list[int | None]:
+    """Return one seed for each of n slots, by Gymnasium's convention.
+
+    From one number s they are s, s + 1, …; from None they are all None.
+
+    Raises:
+        ValueError: a seed is negative or no whole number, or there are not n of them.
+    """
+    seeds: list[int | None] = []
     if isinstance(seed, int | np.integer):
-        seed = [int(seed) + b for b in range(n)]
-    seeds = [None] * n if seed is None else list(seed) if np.ndim(seed) == 1 else []
+        seeds = [int(seed) + b for b in range(n)]
+    elif seed is None:
+        seeds = [None] * n
+    elif np.asarray(seed).ndim == 1:
+        seeds = list(seed)
     whole = (k is None or (isinstance(k, int | np.integer) and k >= 0) for k in seeds)
     if len(seeds) != n or not all(whole):
         raise ValueError(
@@ -42,16 +45,21 @@ def seeds_of(seed: Any, n: int) -> list[int | None]:
     return seeds
 
 
-def told(options: dict[str, Any], n: int, params: PlaneParams) -> tuple[np.ndarray, Settings]:
-    """Cubes `[n, 3]` (NaN where not told of) and settings of n slots.
+def parse_options(
+    options: dict[str, Any], n: int, params: PlaneParams
+) -> tuple[np.ndarray, Settings]:
+    """Return the cubes `[n, 3]` and the settings of n slots.
+
+    Cubes are NaN where the options do not place them; settings that the options do not contain
+    are those of `params`.
 
     Raises:
-        ValueError: an option that is unknown, has the wrong shape or is out of range.
+        ValueError: an option is unknown, has the wrong shape or is out of range.
     """
     known = ["cube", *SETTINGS]
     for name in options:
         if name not in known:
-            raise ValueError(f"unknown option {unknown(name, known)}")
+            raise ValueError(f"unknown option {suggest(name, known)}")
     cubes = np.asarray(options.get("cube", np.full((n, 3), np.nan)), float)
     if cubes.shape != (n, 3) or ("cube" in options and not np.isfinite(cubes).all()):
         raise ValueError(f"cube must be {n} finite x, y (m) and angle (rad); got {cubes}")

@@ -1,6 +1,6 @@
-"""What the robot sees: 7 values from the poses of all worlds at once.
+"""The robot's sensors: 7 values from the poses of B worlds.
 
-Noise is handed in as numbers drawn elsewhere, so that all here is a pure function.
+Noise is an argument, drawn elsewhere, so that every function here is pure.
 """
 
 from typing import NamedTuple
@@ -9,20 +9,20 @@ import numpy as np
 
 from jaxreplay.plane.params import PlaneParams
 
-# Enki's infrared response to a distance in cm, in counts: a line up to `_KNEE`, then an
-# exponential up to 9 cm.
+# Enki's infrared response in counts to a distance d in cm:
+# _TOUCHING − _SLOPE · d below _KNEE, then _SCALE · exp(−_RATE · d) up to 9 cm.
 _TOUCHING, _SLOPE, _KNEE = 3000.0, 440.0, 0.5
 _SCALE, _RATE = 4526.0, 0.9994
 
 
 class Pose(NamedTuple):
-    """Where everything is, in B worlds.
+    """Where robot, gripper and cube are, in B worlds.
 
     Attributes:
         robot: `[B, 3]` x, y (m) and heading (rad) of the robot.
         cube: `[B, 3]` x, y (m) and angle (rad) of the cube.
         elevation: `[B]` height of the middle of the gripper head, m.
-        tilt: `[B]` of the gripper head, rad; 0 grasps, π/2 scans.
+        tilt: `[B]` of the gripper head, rad; at 0 it grasps, at π/2 it scans.
     """
 
     robot: np.ndarray
@@ -34,17 +34,26 @@ class Pose(NamedTuple):
 def camera(
     params: PlaneParams, pose: Pose, last: np.ndarray, noise: np.ndarray | float = 0.0
 ) -> np.ndarray:
-    """The cube's x in the image, `[B]`, from −1 (left edge) to 1 (right edge), in whole pixels.
+    """Return the cube's x in the image, `[B]`, from −1 (left edge) to 1 (right edge).
 
-    A pinhole: tan(bearing) over tan of half the field of view. While the cube is out of view,
-    or its centre hidden behind the gripper head, the tracker keeps the x it saw last (`last`,
-    `[B]`). `noise` is `[B]`, in pixels.
+    A pinhole camera, rounded to whole pixels:
+
+        x = tan(bearing to the right) / tan(field of view / 2)
+
+    While the cube is out of view, or its centre hidden behind the gripper head, x stays at the
+    value that was seen last.
+
+    Args:
+        params: the constants.
+        pose: of the worlds.
+        last: `[B]` the values of the step before.
+        noise: `[B]` in pixels.
     """
     ahead, left = in_frame(pose.robot, pose.cube[:, :2])
     half = params.image_width / 2
     with np.errstate(divide="ignore", invalid="ignore"):
         x = -left / ahead / np.tan(params.field_of_view / 2)
-        along = params.reach / ahead  # share of the line of sight up to the head
+        along = params.reach / ahead  # the head's place on the line of sight, as a share of it
     in_view = (ahead > 0) & (np.abs(x) <= 1)
     drop = params.camera_height - params.side / 2
     sight = params.camera_height - drop * along
@@ -55,12 +64,17 @@ def camera(
 
 
 def proximeters(params: PlaneParams, pose: Pose, noise: np.ndarray | float = 0.0) -> np.ndarray:
-    """Linearised readings `[B, 6]`: 1 touching, falling to 0 at the end of the range.
+    """Return the readings of the proximeters, `[B, 6]`: 1 touching, 0 from the range's end on.
 
-    A beam is a fan of rays around the head's direction; it receives the mean of their
-    responses, in whole counts. With the head tilted away from scanning the beams point up: a ray
-    meets the cube only where it is not higher than it, and none comes back at a steep angle.
-    `noise` is `[B, 6]`, a share of the response.
+    A beam is a fan of rays around the head's direction; its response is the mean of theirs, in
+    whole counts, and its reading is linear in the distance that this response stands for. Where
+    the head is tilted away from scanning the beams point up: a ray that passes above the cube
+    misses it, and a ray that is too steep is not reflected back.
+
+    Args:
+        params: the constants.
+        pose: of the worlds.
+        noise: `[B, 6]` as a share of the response.
     """
     distance = ray_to_square(*proximeter_rays(params, pose), pose.cube, params.side)
     pitch = params.scanning_tilt - pose.tilt[:, None]
@@ -74,8 +88,12 @@ def proximeters(params: PlaneParams, pose: Pose, noise: np.ndarray | float = 0.0
     return linearised(np.rint(received * (1 + noise)), params.proximeter_range)
 
 
-def proximeter_rays(params: PlaneParams, pose: Pose) -> tuple[np.ndarray, ...]:
-    """Origins x and y (m) and directions (rad) of all rays as seen from above, `[B, 6 · rays]`."""
+def proximeter_rays(params: PlaneParams, pose: Pose) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the rays of the six beams as seen from above, R = 6 · `beam_rays`.
+
+    Returns:
+        Their origins' x and y (m) and their directions (rad), `[B, R]` each.
+    """
     fan = np.linspace(-1, 1, params.beam_rays) * params.beam_half_angle
     offsets = np.repeat(params.proximeter_offsets, params.beam_rays)
     heading = pose.robot[:, 2:3]
@@ -86,16 +104,17 @@ def proximeter_rays(params: PlaneParams, pose: Pose) -> tuple[np.ndarray, ...]:
 
 
 def infrared(distance: np.ndarray, end: float) -> np.ndarray:
-    """Response in counts to a surface at a distance (m), as Enki has it; 0 from `end` on."""
+    """Return Enki's response in counts to surfaces at distances (m); 0 from `end` (m) on."""
     cm = 100 * distance
     counts = np.where(cm < _KNEE, _TOUCHING - _SLOPE * cm, _SCALE * np.exp(-_RATE * cm))
     return np.where(distance < end, counts, 0.0)
 
 
 def linearised(counts: np.ndarray, end: float) -> np.ndarray:
-    """1 − distance/end, with the distance that the response tells; within [0, 1].
+    """Return 1 − distance / end, within [0, 1], for the distance that causes these counts.
 
-    More counts than touching gives (noise) are taken for touching: there the sensor saturates.
+    This inverts :func:`infrared`; `end` is in m. Counts above those of a surface that touches,
+    which noise can cause, read as touching: the sensor saturates.
     """
     knee = _TOUCHING - _SLOPE * _KNEE
     near = (_TOUCHING - np.minimum(counts, _TOUCHING)) / _SLOPE
@@ -107,10 +126,17 @@ def linearised(counts: np.ndarray, end: float) -> np.ndarray:
 def ray_to_square(
     x: np.ndarray, y: np.ndarray, angle: np.ndarray, square: np.ndarray, side: float
 ) -> np.ndarray:
-    """Distance `[B, R]` along rays from (x, y) to a square each, 0 inside it, inf if missed.
+    """Return the distances along rays to a square, `[B, R]` in m: 0 from inside, inf if missed.
 
-    `square` is `[B, 3]`, x, y and angle of its centre. Slabs: a ray is inside the square while
-    it is between both pairs of parallel sides.
+    By the slab method: a ray is inside the square where it is between both pairs of parallel
+    sides.
+
+    Args:
+        x: `[B, R]` of the rays' origins, m.
+        y: `[B, R]` of the rays' origins, m.
+        angle: `[B, R]` the rays' directions, rad.
+        square: `[B, 3]` x, y (m) and angle (rad) of the squares.
+        side: of the squares, m.
     """
     cos, sin = np.cos(square[:, 2:]), np.sin(square[:, 2:])
     dx, dy = x - square[:, 0:1], y - square[:, 1:2]
@@ -124,7 +150,7 @@ def ray_to_square(
 
 
 def in_frame(frame: np.ndarray, point: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """A point `[B, 2]` as (ahead, left) of frames `[B, 3]`."""
+    """Return how far points `[B, 2]` are ahead and to the left in frames `[B, 3]`, `[B]` each."""
     dx, dy = (point - frame[:, :2]).T
     cos, sin = np.cos(frame[:, 2]), np.sin(frame[:, 2])
     return cos * dx + sin * dy, cos * dy - sin * dx

@@ -1,29 +1,44 @@
 """The physics of one robot and its cube: a pymunk space, seen from above.
 
-One space a world, built at the origin in the same order, makes a world's outcome independent
-of how many others are stepped beside it. No Python runs between its physics steps.
+Each world has a space of its own, built at the origin and in the same order, so that its outcome
+does not depend on how many others are simulated beside it. pymunk calls no Python code during a
+physics step.
 """
+
+import math
 
 import numpy as np
 import pymunk
+from pymunk.constraints import Constraint, GearJoint, PivotJoint
 
 from jaxreplay.plane.params import GRAVITY, PlaneParams
 
 _COLLIDES = pymunk.ShapeFilter()
 _PASSES = pymunk.ShapeFilter(mask=0)
-_MEAN_LEVER = 0.3826  # of a square's area about its centre, in sides
+_MEAN_LEVER = 0.3826  # mean distance of a square's points from its centre, in sides
 
 
 class World:
-    """The robot driven through a velocity-matching joint, the cube rubbing the floor."""
+    """A robot driven by joints that match a velocity, and a cube with friction on the floor.
 
-    def __init__(self, params: PlaneParams, cube: np.ndarray):
-        """The robot at the origin, the cube at `[3]` x, y (m) and angle (rad)."""
+    Attributes:
+        robot: the robot's body; `robot.position` in m, `robot.angle` in rad.
+        cube: the cube's body.
+        tracks: a kinematic body that moves as the tracks run.
+        gripper: the gripper's shape.
+        magnet: the two joints that hold the cube.
+        floor: the joints that resist the cube's sliding.
+        space: pymunk's space.
+    """
+
+    def __init__(self, params: PlaneParams, cube: np.ndarray | tuple[float, float, float]):
+        """Put the robot at the origin and the cube at `[3]` x, y (m) and angle (rad)."""
         self.reach, self.side = params.reach, params.side
         self.period = params.control_period
         self.substeps = params.substeps
         self.space = space = pymunk.Space()
-        # m; pymunk's own, 0.1, is wider than the cube. Found best at 5 substeps (0.02–0.5 mm).
+        # m. pymunk's default, 0.1, is wider than the cube. Of 0.02–0.5 mm this is the most
+        # accurate at 5 substeps.
         space.collision_slop = 0.0002
 
         self.robot = pymunk.Body(params.mass, params.mass * params.hull_radius**2 / 2)
@@ -37,33 +52,34 @@ class World:
         self.cube.position, self.cube.angle = (float(cube[0]), float(cube[1])), float(cube[2])
         box = pymunk.Poly.create_box(self.cube, (side, side))
         for shape in (hull, self.gripper, box):
-            shape.friction = params.contact_friction**0.5  # pymunk multiplies the two
+            shape.friction = params.contact_friction**0.5  # a contact's is the product of two
 
-        # The tracks: match the velocity of a body moved at will, as far as traction goes.
+        # The robot matches the velocity of `tracks`, as far as traction allows.
         self.tracks = pymunk.Body(body_type=pymunk.Body.KINEMATIC)
         grip = params.traction * params.mass * GRAVITY
         drive = (
-            _resist(pymunk.PivotJoint(self.tracks, self.robot, (0, 0), (0, 0)), grip),
+            _resist(PivotJoint(self.tracks, self.robot, (0, 0), (0, 0)), grip),
             _resist(
-                pymunk.GearJoint(self.tracks, self.robot, 0.0, 1.0),
+                GearJoint(self.tracks, self.robot, 0.0, 1.0),
                 grip * params.track_separation / 2,
             ),
         )
 
-        # Coulomb friction on the floor, at four points that share the weight: sliding and
-        # turning share the friction as they share the motion. Exact along the cube's sides and in
-        # turning; askew some 5 % is lost to the points' pulling against each other.
+        # Coulomb friction on the floor, at four points that share the weight, so that sliding and
+        # turning share the friction as they share the motion. It is exact for sliding along the
+        # cube's sides and for turning. In oblique directions it is some 5 % too low, because the
+        # points pull against each other.
         lever = _MEAN_LEVER * side
         self.rub = params.floor_friction * params.cube_mass * GRAVITY / 4
         self.floor = [
-            _resist(pymunk.PivotJoint(space.static_body, self.cube, (0, 0), (x, y)), self.rub)
+            _resist(PivotJoint(space.static_body, self.cube, (0, 0), (x, y)), self.rub)
             for x, y in ((lever, 0), (0, lever), (-lever, 0), (0, -lever))
         ]
 
-        # The joints of the magnet exist from the start, without force.
+        # The magnet's joints exist from the start, without force: none is added during a run.
         self.magnet = (
-            pymunk.PivotJoint(self.robot, self.cube, (self.reach, 0), (0, 0)),
-            pymunk.GearJoint(self.robot, self.cube, 0.0, 1.0),
+            PivotJoint(self.robot, self.cube, (self.reach, 0), (0, 0)),
+            GearJoint(self.robot, self.cube, 0.0, 1.0),
         )
         for joint in self.magnet:
             joint.error_bias = 0.1**60  # stiff: a share of the error is left after 1/60 s
@@ -71,17 +87,35 @@ class World:
         space.add(self.robot, hull, self.gripper, self.cube, box, self.tracks)
         space.add(*drive, *self.floor, *self.magnet)
 
-    def raise_gripper(self, above: bool):
-        """Let the gripper pass over the cube, or not."""
+    def advance(self, forward: float, turn: float) -> tuple[float, ...]:
+        """Simulate one control step.
+
+        Args:
+            forward: speed of the tracks' mean, m/s.
+            turn: rate at which the tracks turn the robot to the left, rad/s.
+
+        Returns:
+            x, y (m) and angle (rad) of the robot, then of the cube.
+        """
+        robot, cube, tracks = self.robot, self.cube, self.tracks
+        heading = robot.angle + turn * self.period / 2  # the mean during the step
+        tracks.velocity = forward * math.cos(heading), forward * math.sin(heading)
+        tracks.angular_velocity = turn
+        for _ in range(self.substeps):
+            self.space.step(self.period / self.substeps)
+        return *robot.position, robot.angle, *cube.position, cube.angle
+
+    def set_gripper_above(self, above: bool) -> None:
+        """Let the gripper pass over the cube if it is above it; else let the two collide."""
         self.gripper.filter = _PASSES if above else _COLLIDES
 
-    def raise_cube(self, off_floor: bool):
-        """Take the cube off the floor, or put it down."""
+    def set_cube_off_floor(self, off_floor: bool) -> None:
+        """Switch the floor's friction off while the cube is off the floor, else on."""
         for joint in self.floor:
             joint.max_force = 0.0 if off_floor else self.rub
 
-    def hold(self, force: float, torque: float):
-        """Draw the cube's face flush to the magnet, up to a force (N) and a torque (N m)."""
+    def attach(self, force: float, torque: float) -> None:
+        """Hold the cube's face flush with the magnet, up to a force (N) and a torque (N m)."""
         pivot, gear = self.magnet
         x, y = self.cube.world_to_local(self.robot.local_to_world((self.reach, 0.0)))
         half = self.side / 2
@@ -91,14 +125,14 @@ class World:
         gear.phase = np.round(turned / (np.pi / 2)) * np.pi / 2
         pivot.max_force, gear.max_force = force, torque
 
-    def release(self):
-        """Let go of the cube."""
+    def release(self) -> None:
+        """Stop holding the cube."""
         for joint in self.magnet:
             joint.max_force = 0.0
 
 
-def _resist(joint: pymunk.Constraint, limit: float) -> pymunk.Constraint:
-    """Make a joint resist relative velocity, up to a limit, and hold no position."""
+def _resist(joint: Constraint, limit: float) -> Constraint:
+    """Return a joint that resists relative velocity up to a limit (N, N m), not displacement."""
     joint.max_bias = 0.0
     joint.max_force = limit
     return joint

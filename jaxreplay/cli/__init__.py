@@ -1,0 +1,60 @@
+"""The command line: `jaxreplay COMMAND`, one module for each command.
+
+A user's mistake is reported in one line on stderr, with status 2, before any work is done. Modules
+import slow packages (JAX, xarray, Matplotlib) only when their command runs.
+"""
+
+import argparse
+import os
+import sys
+import warnings
+from collections.abc import Sequence
+from io import TextIOWrapper
+
+from jaxreplay.cli import inspect, plot, run, show, tune, watch
+from jaxreplay.errors import ConfigError
+
+DONE, MISTAKE, INTERRUPTED = 0, 2, 130
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line, and return the exit status."""
+    options = _parser().parse_args(arguments)
+    # Better a table with ? for θ, where the encoding has none, than no table.
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, TextIOWrapper):
+            stream.reconfigure(errors="replace")
+    try:
+        with warnings.catch_warnings():
+            warnings.showwarning = _warn
+            options.action(options)
+            return DONE
+    except ConfigError as error:
+        print(f"jaxreplay: {error}", file=sys.stderr)
+        return MISTAKE
+    except BrokenPipeError:  # the reader of the output has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return DONE
+    except OSError as error:
+        where = f"{error.filename}: " if error.filename else ""
+        print(f"jaxreplay: {where}{error.strerror or error}", file=sys.stderr)
+        return MISTAKE
+    except KeyboardInterrupt as interrupt:
+        detail = f"; {interrupt}" if interrupt.args else ""
+        print(f"\njaxreplay: interrupted{detail}", file=sys.stderr)
+        return INTERRUPTED
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="jaxreplay",
+        description="How far does a robot get by replaying demonstrations? Studies of θ_I, θ_τ, σ.",
+    )
+    commands = parser.add_subparsers(required=True, metavar="command")
+    for command in (run, show, plot, watch, tune, inspect):
+        command.add_to(commands)
+    return parser
+
+
+def _warn(message: Warning | str, *_) -> None:
+    print(f"jaxreplay: {message}", file=sys.stderr)

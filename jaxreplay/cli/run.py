@@ -1,0 +1,133 @@
+"""`jaxreplay run FILE`: run a study, print its table and draw its figures."""
+
+import argparse
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager, nullcontext
+from functools import partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING
+
+from jaxreplay.cli.arguments import Commands, count
+from jaxreplay.errors import ConfigError
+
+if TYPE_CHECKING:
+    from jaxreplay.study.config import StudyConfig
+    from jaxreplay.study.run import RunEach
+
+
+def add_to(commands: Commands) -> None:
+    """Add the command."""
+    parser = commands.add_parser(
+        "run",
+        help="run a study and draw its figures",
+        description="Run the study that a TOML file describes, print its table and draw its "
+        "figures. After it was stopped, the same command continues it.",
+    )
+    parser.add_argument("file", type=Path, metavar="FILE", help="e.g. experiments/theta_i.toml")
+    parser.add_argument(
+        "--out",
+        type=Path,
+        metavar="DIR",
+        help="folder for demonstrations, results and figures (default: results/ and FILE's name)",
+    )
+    where = parser.add_mutually_exclusive_group()
+    where.add_argument(
+        "--workers", type=count, metavar="N", help="run shards in N processes on this machine"
+    )
+    where.add_argument(
+        "--scheduler", metavar="ADDRESS", help="run shards on the workers of this Dask scheduler"
+    )
+    parser.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        dest="changes",
+        metavar="KEY=VALUE",
+        help="use this value instead of FILE's, e.g. 'axis.theta_i.logspace=[-1,-3,5]' or "
+        "jump=own_tau; a single value takes the place of FILE's axis",
+    )
+    parser.add_argument(
+        "--params", type=Path, metavar="TUNED", help="a file that tune saved: its θ_I, θ_τ and σ"
+    )
+    parser.add_argument(
+        "--dry-run", action="store_true", help="only print its size, and measure what it will cost"
+    )
+    parser.set_defaults(action=_run)
+
+
+def _run(options: argparse.Namespace) -> None:
+    from jaxreplay.cli.progress import Progress
+    from jaxreplay.figures.draw import draw
+    from jaxreplay.figures.table import table
+    from jaxreplay.machine import keep_compiled
+    from jaxreplay.study.config import load_config, tuned_changes
+    from jaxreplay.study.run import run_study
+    from jaxreplay.study.runs import runs_of, shard_size, shards_of
+    from jaxreplay.study.store import check_format
+
+    keep_compiled()
+    tuned = tuned_changes(options.params) if options.params else []
+    config = load_config(options.file, tuned + options.changes)
+    folder = options.out or Path("results") / options.file.stem
+    if folder.exists() and not folder.is_dir():
+        raise ConfigError(f"--out {folder} is a file; give a folder")
+    check_format(folder)
+    runs = runs_of(config)
+    shards = len(shards_of(runs, shard_size(config)))
+    print(f"{folder}: {_count(len(runs), 'run')} in {_count(shards, 'shard')}", file=sys.stderr)
+    if options.dry_run:
+        print(_cost(config, folder, len(runs), options.workers), file=sys.stderr)
+        return
+    try:
+        with _workers(options) as workers:
+            dataset = run_study(config, folder, Progress(len(runs)), workers)
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt("finished shards are kept, the same command continues") from None
+    drawn = draw(dataset, folder)
+    print(table(dataset))
+    print(f"{folder}: the study, {drawn}")
+
+
+def _count(n: int, what: str) -> str:
+    return f"{n} {what}{'s' * (n > 1)}"
+
+
+def _cost(config: "StudyConfig", folder: Path, runs: int, workers: int | None) -> str:
+    """Return a line on the time and memory that a study will take, measured on a few runs."""
+    from jaxreplay.machine import cores
+    from jaxreplay.study.cost import SAMPLE, estimate
+    from jaxreplay.study.demonstrations import demonstrations
+
+    print(f"measuring {SAMPLE} of them", file=sys.stderr)
+    with TemporaryDirectory() as elsewhere:
+        place = folder if folder.exists() else Path(elsewhere)
+        cost = estimate(config, demonstrations(config, place))
+    n = min(workers or cores(), cores())
+    minutes = runs * cost.seconds / n / 60
+    return (
+        f"about {minutes:.1f} min on {_count(n, 'core')} ({cost.seconds:.2f} s a run on one), "
+        f"{cost.memory / 2**30:.1f} GiB{' a worker' if workers else ''}"
+    )
+
+
+@contextmanager
+def _workers(
+    options: argparse.Namespace,
+) -> "Iterator[Callable[[], AbstractContextManager[RunEach]] | None]":
+    """Yield a function that opens workers to run shards in; None: they run in this process.
+
+    A scheduler is connected to at once, so that a mistake is reported before any work is done.
+    """
+    if options.scheduler:
+        from jaxreplay.study.workers import workers_of
+
+        with workers_of(options.scheduler) as run_each:
+            yield lambda: nullcontext(run_each)
+    elif options.workers:
+        from jaxreplay.study.workers import local_workers
+
+        yield partial(local_workers, options.workers)
+    else:
+        yield None

@@ -1,0 +1,73 @@
+"""`jaxreplay tune RECORDS`: choose parameters from records alone."""
+
+import argparse
+from pathlib import Path
+
+from jaxreplay.cli.arguments import Commands, count
+from jaxreplay.errors import ConfigError
+
+
+def add_to(commands: Commands) -> None:
+    """Add the command."""
+    parser = commands.add_parser(
+        "tune",
+        help="choose parameters from records alone",
+        description="Leave each record out in turn, filter it with the others, and follow the "
+        "gradient of how well its commands are predicted. Prints and saves the parameters, and "
+        "draws the curve.",
+    )
+    parser.add_argument("records", type=Path, metavar="RECORDS", help="an .npz file of records")
+    parser.add_argument(
+        "--jump",
+        choices=("same_tau", "own_tau"),
+        default="same_tau",
+        help="reading of a jump (default: same_tau)",
+    )
+    parser.add_argument(
+        "--score",
+        choices=("commands", "evidence"),
+        default="commands",
+        help="what to improve: the error of predicted commands (default), or the log evidence of "
+        "the observations, which means little where a sensor repeats values exactly",
+    )
+    parser.add_argument("--steps", type=count, default=30, metavar="N", help="(default: 30)")
+    parser.add_argument(
+        "--out",
+        type=Path,
+        metavar="FILE",
+        help="a .toml; the curve is saved beside it as .png (default: beside RECORDS)",
+    )
+    parser.set_defaults(action=_tune)
+
+
+def _tune(options: argparse.Namespace) -> None:
+    from tqdm import tqdm
+
+    from jaxreplay.figures.tuning import tuning_figure
+    from jaxreplay.machine import keep_compiled
+    from jaxreplay.recordings.read import read
+    from jaxreplay.recordings.scores import default_params
+    from jaxreplay.recordings.tune import save, summary, tune
+
+    keep_compiled()
+    path = options.out or options.records.with_name(f"{options.records.stem}_{options.jump}.toml")
+    if path.suffix != ".toml" or path.is_dir():
+        raise ConfigError(f"--out {path}: give a file whose name ends in .toml")
+    records = read(options.records)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with tqdm(unit="step", disable=None) as bar:
+
+        def progress(what: str, done: int, total: int) -> None:
+            bar.set_description(what, refresh=False)
+            bar.total = total
+            bar.update(done - bar.n)
+
+        try:
+            start = default_params(records)
+            tuned = tune(records, start, options.jump, options.score, options.steps, progress)
+        except ValueError as error:
+            raise ConfigError(f"{options.records}: {error}") from None
+    print(summary(records, tuned))
+    save(records, tuned, options.records, path)
+    tuning_figure(records, tuned, path.with_suffix(".png"))
+    print(f"{path}: the parameters; {path.with_suffix('.png')}: the curve")

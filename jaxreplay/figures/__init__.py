@@ -1,0 +1,1 @@
+"""Figures, tables and animations; of a study they read nothing but its dataset."""

@@ -1,0 +1,150 @@
+"""The paper's figure 3, and how factors are written in figures."""
+
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+import numpy as np
+import xarray as xr
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from jaxreplay.figures.table import short, standard_error, units, wilson
+from jaxreplay.study.dataset import OUTCOMES, axes_of, cells, is_number
+
+# From light to dark and hatched, so that they can be distinguished in grey.
+COLOURS = {"S": "#cfe8cf", "Fs": "#f2b872", "Fg": "#c0504d", "Fb": "#3b3b58"}
+HATCHES = {"S": "", "Fs": "//", "Fg": "..", "Fb": "xx"}
+MEANINGS = {"S": "success", "Fs": "over 3 minutes", "Fg": "no grasp", "Fb": "left the area"}
+SYMBOLS = {"theta_i": "$\\theta_I$", "theta_tau": "$\\theta_\\tau$"}
+READINGS = {
+    "same_tau": "a jump keeps the moment τ (same_tau)",
+    "own_tau": "a jump lands where the record stands (own_tau)",
+}
+STYLES = (  # variable, label, marker, colour, its face, and how far beside the tick
+    ("alignment_error", "alignment error, mm (●)", "o", "#1f4e79", "#1f4e79", -0.12),
+    ("duration", "run duration, s (□)", "s", "#b35900", "white", 0.12),
+)
+
+
+def figure_3(dataset: xr.Dataset, path: str | Path) -> None:
+    """Draw figure 3 of the paper: outcomes, alignment error and duration along one axis.
+
+    The axis is θ_I if it has more than two values, else the numeric axis with most values, or any
+    if there is none. There is a row of panels for each combination of the others.
+
+    Args:
+        dataset: a study.
+        path: where to save it; its suffix gives the format.
+    """
+    if not axes_of(dataset):
+        dataset = dataset.expand_dims("theta_i")
+    axes = axes_of(dataset)
+    along = max(
+        axes,
+        key=lambda a: (
+            dataset.sizes[a] > 2,
+            a == "theta_i",
+            is_number(dataset, a),
+            dataset.sizes[a],
+        ),
+    )
+    others = [a for a in axes if a != along]
+    panels = list(cells(dataset, others))
+    n = len(panels)
+    with matplotlib.rc_context({"font.size": 9, "axes.spines.top": False, "hatch.linewidth": 0.5}):
+        figure = Figure(figsize=(8, 2.7 * n + 0.5), layout="constrained")
+        rows = figure.subplots(n, 2, squeeze=False, sharex=True)
+        tops = [1.05 * _highest(dataset, name) for name, *_ in STYLES]
+        for row, (values, runs) in zip(rows, panels, strict=True):
+            _outcomes(row[0], runs, along)
+            _error_and_duration(row[1], runs, along, tops)
+            row[0].set_title(title(dataset, values), loc="left", fontsize=9)
+        for ax in rows[-1]:
+            ax.set_xlabel(label(dataset, along))
+        handles, labels = rows[0][0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside upper center", ncols=4, frameon=False)
+        figure.savefig(path, dpi=150)
+
+
+def _highest(dataset: xr.Dataset, name: str) -> float:
+    """Return where the highest bar of a standard error ends."""
+    cell = (runs for _, runs in cells(dataset, axes_of(dataset)))
+    won = [runs[name].values[runs.outcome.values == "S"] for runs in cell]
+    return max((v.mean() + np.nan_to_num(standard_error(v)) for v in won if len(v)), default=1)
+
+
+def title(dataset: xr.Dataset, values: dict[str, Any]) -> str:
+    """Return the title of a panel: the factors' values."""
+    return ", ".join(
+        READINGS[value]
+        if name == "jump"
+        else f"{SYMBOLS.get(name, dataset[name].attrs['symbol'])} "
+        f"{write(name, value)}{units(dataset, name)}"
+        for name, value in values.items()
+    )
+
+
+def label(dataset: xr.Dataset, axis: str) -> str:
+    """Return the label of an axis: the factor along it, and its unit."""
+    symbol = f"{SYMBOLS[axis]}, " if axis in SYMBOLS else ""
+    unit = units(dataset, axis) and f",{units(dataset, axis)}"
+    return f"{symbol}{dataset[axis].attrs['long_name']}{unit}"
+
+
+def write(axis: str, value: Any) -> str:
+    """Return a factor's value as it is written at a tick."""
+    if axis == "theta_i":
+        return "0" if value == 0 else f"$10^{{{np.log10(value):.3g}}}$"
+    return short(value)
+
+
+def _axis(axes: Axes, runs: xr.Dataset, along: str):
+    texts = [write(along, value) for value in runs[along].values]
+    steep = len(texts) > 8 or (max(map(len, texts)) > 8 and along != "theta_i")
+    axes.set_xticks(range(len(texts)), texts, rotation=90 if steep else 0)
+    axes.set_xlim(-0.6, len(texts) - 0.4)
+
+
+def _outcomes(axes: Axes, runs: xr.Dataset, along: str):
+    counts = {o: (runs.outcome == o).sum(("position", "repeat")).values for o in OUTCOMES}
+    total = np.sum(list(counts.values()), axis=0)
+    bottom = np.zeros(len(total))
+    for outcome, count in counts.items():
+        share = 100 * count / np.maximum(total, 1)  # a cell may have no run yet
+        axes.bar(
+            range(len(total)), share, 0.75, bottom,
+            label=f"{outcome}: {MEANINGS[outcome]}",
+            color=COLOURS[outcome], hatch=HATCHES[outcome], edgecolor="black", linewidth=0.5,
+        )  # fmt: skip
+        bottom += share
+    rates = 100 * counts["S"] / np.maximum(total, 1)
+    reach = 100 * np.transpose([wilson(*pair) for pair in zip(counts["S"], total, strict=True)])
+    axes.errorbar(
+        range(len(total)), rates, np.abs(reach - rates), fmt="none", color="black", capsize=3, lw=1
+    )
+    axes.set_ylabel(f"runs, % (of {max(total)} each)\nwhiskers: 95 % interval of S", fontsize=8)
+    axes.set_ylim(0, 100)
+    axes.spines["right"].set_visible(False)
+    _axis(axes, runs, along)
+
+
+def _error_and_duration(axes: Axes, runs: xr.Dataset, along: str, tops: list[float]):
+    sides = axes, axes.twinx()
+    for ax, (name, label, marker, colour, face, shift), top in zip(
+        sides, STYLES, tops, strict=True
+    ):
+        for k, (_, cell) in enumerate(cells(runs, [along])):
+            values = cell[name].values[cell.outcome.values == "S"]
+            if len(values):
+                error = standard_error(values) if len(values) > 1 else None
+                ax.errorbar(
+                    k + shift, values.mean(), error, fmt=marker, color=colour,
+                    markersize=5, capsize=3, markerfacecolor=face,
+                )  # fmt: skip
+            elif ax is axes:
+                ax.text(k, 0.02 * top, "none", ha="center", fontsize=7, color="grey")
+        ax.set_ylabel(label, color=colour)
+        ax.set_ylim(0, top)
+    axes.set_title("successful runs: mean ± standard error", loc="right", fontsize=8)
+    _axis(axes, runs, along)

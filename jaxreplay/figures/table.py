@@ -1,0 +1,100 @@
+"""A study as a table: how the runs of each cell ended, how accurate they were and how fast."""
+
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from scipy.stats import binomtest
+
+from jaxreplay.study.dataset import OUTCOMES, STALLS, along, axes_of, cells
+
+
+def table(dataset: xr.Dataset) -> str:
+    """Return a table with a row for each cell of the study."""
+    dims = axes_of(dataset)
+    columns = {}
+    heads = {}
+    for name in (name for dim in dims for name in along(dataset, dim)):
+        values = [short(value) for value in dataset[name].values]
+        heads[name] = dataset[name].attrs["symbol"] + units(dataset, name)
+        columns[name] = max(11, *(len(text) + 2 for text in (heads[name], *values)))
+    lines = [
+        "".join(head.rjust(columns[name]) for name, head in heads.items())
+        + "".join(f"{name:>6}" for name in OUTCOMES)
+        + f"{'S, %':>15}"
+        + "".join(f"{name:>8}" for name in STALLS)
+        + f"{'error of S, mm':>18}{'duration of S, s':>20}"
+    ]
+    for values, runs in cells(dataset, dims):
+        outcome, stall = runs.outcome.values, runs.stall.values
+        row = "".join(short(value).rjust(columns[name]) for name, value in values.items())
+        row += "".join(f"{np.sum(outcome == o):6d}" for o in OUTCOMES)
+        row += rate(np.sum(outcome == "S"), np.sum(outcome != "")).rjust(15)
+        row += "".join(f"{np.sum(stall == s):8d}" for s in STALLS)
+        for name, width in (("alignment_error", 18), ("duration", 20)):
+            row += mean_and_error(runs[name].values[outcome == "S"]).rjust(width)
+        lines.append(row)
+    lines += [
+        "",
+        "S, %: with Wilson's 95 % interval. fixed, cyclic, slow: the Fs. "
+        "±: standard error of the mean.",
+        _audited(dataset),
+    ]
+    return "\n".join(lines)
+
+
+def _audited(dataset: xr.Dataset) -> str:
+    """Return a line on the accuracy that windows cost."""
+    off = dataset.command_error.values
+    off = off[np.isfinite(off)]
+    return (
+        f"Audit: of {len(off)} filtered again without windows, commands were off by more than "
+        f"1e-3 of their range in {np.sum(off > 1e-3)}; at most by {np.max(off, initial=0):.1e}."
+    )
+
+
+def short(value: Any) -> str:
+    """Return a factor's value in a few characters."""
+    if isinstance(value, bool | np.bool_):
+        return "on" if value else "off"
+    return str(value) if isinstance(value, str) else f"{value:.3g}"
+
+
+def units(dataset: xr.Dataset, name: str) -> str:
+    """Return a space and a factor's unit, to follow its value; empty where it has none."""
+    unit = dataset[name].attrs.get("units", "")
+    return f" {unit}" if unit not in ("", "1") else ""
+
+
+def mean_and_error(values: np.ndarray) -> str:
+    """Return `mean ± standard error`, as far as there are values."""
+    if len(values) == 0:
+        return "–"
+    if len(values) == 1:
+        return f"{values[0]:.2f}"
+    return f"{values.mean():.2f} ± {standard_error(values):.2f}"
+
+
+def standard_error(values: np.ndarray) -> float:
+    """Return the standard error of the mean; NaN for fewer than two values."""
+    return values.std(ddof=1) / len(values) ** 0.5 if len(values) > 1 else np.nan
+
+
+def rate(successes: int, n: int) -> str:
+    """Return the rate in percent with its interval; see :func:`wilson`."""
+    if n == 0:
+        return "–"
+    low, high = wilson(successes, n)
+    return f"{100 * successes / n:.0f} ({100 * low:.0f}–{100 * high:.0f})"
+
+
+def wilson(successes: int, n: int) -> tuple[float, float]:
+    """Return Wilson's 95 % score interval of the rate `successes` / n, within [0, 1].
+
+    It contains the rates that a score test at 5 % does not reject, so it has a width even where
+    none or all succeeded. Runs are assumed to be independent. After no run at all it is (0, 1).
+    """
+    if n == 0:
+        return 0.0, 1.0
+    interval = binomtest(int(successes), int(n)).proportion_ci(method="wilson")
+    return float(interval.low), float(interval.high)

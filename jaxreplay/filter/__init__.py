@@ -1,0 +1,71 @@
+"""The Bayesian filter of section 2: the equations of :mod:`jaxreplay.reference`, in JAX.
+
+| paper | function |
+| --- | --- |
+| equation 2, observation model | `observation.likelihood` |
+| equation 3, transition between records | `transition.record_transition` |
+| equation 4, transition along a record | `transition.time_transition` |
+| equation 5, initial condition | `steps.init` |
+| equation 6, prediction | `transition.predict_same_tau`, `transition.predict_own_tau` |
+| equations 7 and 8, command | `steps.command` |
+| equation 9 (and 1, of which it is the recursion), update | `steps.update` |
+| § 2.2.5, termination | `steps.end_probability` |
+
+Arguments come in one order: records, params, belief, observation z.
+"""
+
+from collections.abc import Callable
+from functools import cache, partial
+from typing import NamedTuple
+
+import jax
+
+from jaxreplay.filter.belief import READINGS, Belief, Jump
+from jaxreplay.filter.steps import command, end_probability, init, posterior, predict, update
+from jaxreplay.filter.window import NARROWEST
+from jaxreplay.params import Params
+from jaxreplay.records import Records
+
+
+class Filter(NamedTuple):
+    """The jitted steps that :func:`build_filter` returns; see :mod:`jaxreplay.filter.steps`."""
+
+    init: Callable[[Records], Belief]
+    predict: Callable[[Records, Params, Belief], Belief]
+    command: Callable[[Records, Belief], jax.Array]
+    update: Callable[[Records, Params, Belief, jax.Array], tuple[Belief, jax.Array]]
+    posterior: Callable[[Records, Belief], jax.Array]
+    end_probability: Callable[[Records, Belief], jax.Array]
+
+
+@cache
+def build_filter(jump: Jump = "same_tau", window: int | None = None) -> Filter:
+    """Return the filter for one reading of a jump.
+
+    Args:
+        jump: `"same_tau"`, equation 6 as printed, or `"own_tau"`, in which each record keeps its
+            own distribution over τ (see :mod:`jaxreplay.filter.transition`).
+        window: moments of each record to store, in a window that travels with the belief (see
+            :mod:`jaxreplay.filter.window`); then watch `Belief.dropped`. None stores all.
+
+    Raises:
+        ValueError: an unknown reading, or a window that is too narrow.
+    """
+    if jump not in READINGS:
+        raise ValueError(f"jump must be one of {', '.join(READINGS)}; got {jump!r}")
+    if window is not None and window < NARROWEST:
+        raise ValueError(f"window must be None or at least {NARROWEST} moments; got {window}")
+    jitted_update = jax.jit(update)
+
+    def update_raw(records, params, belief, z):
+        # Centred here: `jit` would round a NumPy array before its offset is subtracted.
+        return jitted_update(records.centred(), params, belief, records.centre(z))
+
+    return Filter(
+        init=jax.jit(partial(init, jump=jump, window=window)),
+        predict=jax.jit(predict),
+        command=jax.jit(command),
+        update=update_raw,
+        posterior=jax.jit(posterior),
+        end_probability=jax.jit(end_probability),
+    )

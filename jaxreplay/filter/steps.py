@@ -1,0 +1,121 @@
+"""The steps of the filter (§ 2.2.4 to 2.3.3): predict, command, act, observe, update.
+
+Commands come before observations, so that time alone can trigger one (§ 2.3). All functions are
+pure and take one replay; `jax.vmap` runs them over params, beliefs and observations.
+"""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxreplay.filter.belief import NOTHING_DROPPED, Belief, Jump
+from jaxreplay.filter.numerics.anchor import anchor_point
+from jaxreplay.filter.numerics.scaled import scaled
+from jaxreplay.filter.observation import likelihood, log_density
+from jaxreplay.filter.transition import predict_own_tau, predict_same_tau
+from jaxreplay.filter.window import follow, resize, view
+from jaxreplay.params import Params
+from jaxreplay.records import Records
+
+LAST_STEPS = 10  # § 2.2.5
+
+_PREDICTIONS = {"same_tau": predict_same_tau, "own_tau": predict_own_tau}
+
+
+def init(records: Records, jump: Jump = "same_tau", window: int | None = None) -> Belief:
+    """Return the belief of equation 5: p = 1/N at each record's first sample, else 0.
+
+    Args:
+        records: N records.
+        jump: the reading of a jump, `"same_tau"` or `"own_tau"`.
+        window: moments of each record to store; None stores all.
+    """
+    if window is not None and window >= records.longest:
+        window = None
+    p = jnp.zeros((records.n_records, window or records.longest), records.nodes.dtype)
+    return Belief(
+        p=scaled(p.at[:, 0].set(1 / records.n_records)),
+        start=jnp.zeros(() if jump == "same_tau" else records.n_records, jnp.int32),
+        dropped=jnp.asarray(NOTHING_DROPPED, jnp.int32),
+        jump=jump,
+        window=window,
+    )
+
+
+def predict(records: Records, params: Params, belief: Belief) -> Belief:
+    """Compute equation 6, in the belief's reading of a jump (see `transition`).
+
+    Args:
+        records: N records.
+        params: θ_I and θ_τ are used.
+        belief: p(I_{t−1}, τ_{t−1} | Z_{1:t−1}).
+
+    Returns:
+        p(I_t, τ_t | Z_{1:t−1}).
+    """
+    belief = follow(records, belief)
+    p = _PREDICTIONS[belief.jump](view(records, belief), params, belief.p)
+    return dataclasses.replace(belief, p=p)
+
+
+def command(records: Records, belief: Belief) -> jax.Array:
+    """Compute equation 8 (with 7): the expected command Σ_{i,j} v_j^i p(i, j).
+
+    Args:
+        records: N records.
+        belief: the predicted belief, p(I_t, τ_t | Z_{1:t−1}).
+
+    Returns:
+        `[n_u]` in the actuators' units.
+    """
+    commands = view(records, belief).commands
+    return jnp.einsum("kij,ij->k", commands, belief.p.value(), precision="highest")
+
+
+def update(
+    records: Records, params: Params, belief: Belief, z: jax.Array | np.ndarray
+) -> tuple[Belief, jax.Array]:
+    """Compute equation 9: p(I, τ | Z_{1:t}) ∝ p(Z_t | I, τ) p(I, τ | Z_{1:t−1}).
+
+    Args:
+        records: N records of n_s sensors.
+        params: σ is used.
+        belief: the predicted belief, p(I_t, τ_t | Z_{1:t−1}).
+        z: `[n_s]` the observation Z_t, made after the command, in the sensors' units; NaN marks a
+            missing sensor. The records' offset is subtracted from it: in float64 as long as z is
+            a NumPy array.
+
+    Returns:
+        The belief p(I_t, τ_t | Z_{1:t}), and the log evidence log p(Z_t | Z_{1:t−1}).
+
+    Raises:
+        ValueError: z or σ does not have n_s values.
+    """
+    for name, value in (("z", z), ("sigma", params.sigma)):
+        if jnp.shape(value) != (records.n_sensors,):
+            raise records.misfit(name, jnp.shape(value))
+    z = jnp.asarray(records.centre(z), records.nodes.dtype)
+    params = jax.tree.map(lambda value: jnp.asarray(value, z.dtype), params)
+    stored = view(records, belief)
+    anchor = jax.lax.stop_gradient(anchor_point(stored, params, belief.p, z))
+    joint = belief.p * likelihood(stored, params, z, anchor)
+    evidence = joint.sum()
+    log_evidence = evidence.log() + log_density(params, z, anchor)
+    return dataclasses.replace(belief, p=joint / evidence), log_evidence
+
+
+def posterior(records: Records, belief: Belief) -> jax.Array:
+    """Return the belief as probabilities `[N, L]`, 0 past a record's end and outside its window."""
+    return resize(records, belief, None).p.value()
+
+
+def end_probability(records: Records, belief: Belief) -> jax.Array:
+    """Return p(τ in the last 10 time steps) of § 2.2.5; above 0.9 the task is complete.
+
+    The last 10 samples of each record count; a shorter record counts whole.
+    """
+    stored = view(records, belief)
+    near_end = jnp.arange(stored.longest)[None] >= stored.lengths[:, None] - LAST_STEPS
+    return jnp.sum(jnp.where(near_end, belief.p.value(), 0.0))

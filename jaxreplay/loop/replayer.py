@@ -1,0 +1,149 @@
+"""One robot, live: NumPy arrays in and out, everything compiled before the first command."""
+
+import warnings
+from typing import NamedTuple
+
+import jax
+import numpy as np
+
+from jaxreplay.filter.belief import Jump
+from jaxreplay.loop.tracker import Tracker
+from jaxreplay.params import Params
+from jaxreplay.records import Records
+
+_THIS = np.array([True])
+COARSE = 1e3  # σ from the middle of a sensor's range, where float32 resolves 1e-4 σ
+
+
+class Followed(NamedTuple):
+    """The most probable state.
+
+    Attributes:
+        record: index of the record, from 0.
+        moment: index of the row in it, from 0.
+        probability: p(I, τ) of that state.
+    """
+
+    record: int
+    moment: int
+    probability: float
+
+
+class Replayer:
+    """Replays demonstrations on one robot: `command()`, act, `observe(z)`, and again.
+
+    Everything it needs is compiled when it is made, which takes seconds. Beliefs are stored in
+    windows that widen when they must (see :class:`jaxreplay.loop.tracker.Tracker`).
+
+        replayer = Replayer(records, params)
+        while replayer.end_probability <= 0.9:
+            robot.send(replayer.command())
+            replayer.observe(robot.sense())
+
+    Attributes:
+        end_probability: p(τ in the last 10 samples) after the last observation (§ 2.2.5).
+        log_evidence: log p(Z_1:t) since the start.
+    """
+
+    def __init__(self, records: Records, params: Params, jump: Jump = "same_tau"):
+        """Compile, and start at the records' first samples.
+
+        Args:
+            records: N records.
+            params: one set of parameters.
+            jump: `"same_tau"` or `"own_tau"`.
+
+        Raises:
+            ValueError: an unknown reading, or parameters that do not fit the records.
+        """
+        check_fit(records, params)
+        self._records = records
+        self._tracker = Tracker(records, jax.tree.map(lambda x: x[None], params), jump)
+        self._tracker.compile()
+        self.reset()
+
+    def reset(self) -> None:
+        """Start again at the records' first samples."""
+        self._tracker.begin(_THIS, self._tracker.params)
+        self._observed = True
+        self.end_probability = self.log_evidence = 0.0
+
+    def command(self) -> np.ndarray:
+        """Return the command `[n_u]` for the next control step.
+
+        Called again without an observation between, it continues by time alone.
+        """
+        if not self._observed:
+            self.observe(np.full(self._records.n_sensors, np.nan))
+        self._observed = False
+        return self._tracker.command[0].copy()
+
+    def observe(self, z: np.ndarray) -> float:
+        """Update the belief with the observation made after the command.
+
+        Args:
+            z: `[n_s]` Z_t; NaN marks a missing sensor.
+
+        Returns:
+            log p(Z_t | Z_{1:t−1}).
+
+        Raises:
+            ValueError: another shape, an infinite value, or no command since the last
+                observation. The belief is left unchanged.
+        """
+        names = self._records.sensor_names
+        try:
+            z = np.asarray(z, dtype=np.float64)
+        except (TypeError, ValueError):
+            raise ValueError(f"the observation is not an array of numbers: {z!r}") from None
+        if z.shape != (len(names),):
+            raise ValueError(
+                f"the observation has shape {z.shape}; ({len(names)},) is needed, "
+                f"a value for each of {', '.join(names)}"
+            )
+        # Centred, as that is where float32 may make a large value infinite.
+        infinite = np.flatnonzero(np.isinf(np.asarray(self._records.centre(z))))
+        if len(infinite):
+            k = infinite[0]
+            raise ValueError(
+                f"the observation's {names[k]} is {z[k]}; give NaN for a missing sensor"
+            )
+        if self._observed:
+            raise ValueError("no command since the last observation: call command() first")
+        log_evidence, ended = self._tracker.observe(z[None], _THIS)
+        self._observed = True
+        self.log_evidence += float(log_evidence[0])
+        self.end_probability = float(ended[0])
+        return float(log_evidence[0])
+
+    @property
+    def following(self) -> Followed:
+        """The most probable record and moment for the next command (or the one just returned)."""
+        belief = jax.tree.map(np.asarray, self._tracker.belief(0))
+        p = belief.p.value()
+        record, column = np.unravel_index(np.argmax(p), p.shape)
+        start = np.broadcast_to(belief.start, len(p))[record]
+        return Followed(int(record), int(start + column), float(p[record, column]))
+
+
+def check_fit(records: Records, params: Params) -> None:
+    """Check that parameters fit records; warn where float32 resolves a sensor coarsely.
+
+    Raises:
+        ValueError: not one set of parameters, or not one σ per sensor.
+    """
+    sigma = np.asarray(params.sigma)
+    if np.ndim(params.theta_i) or np.ndim(params.theta_tau) or sigma.shape != (records.n_sensors,):
+        raise ValueError(
+            f"one θ_I, one θ_τ and {records.n_sensors} values of σ are needed "
+            f"({', '.join(records.sensor_names)}); got shapes {np.shape(params.theta_i)}, "
+            f"{np.shape(params.theta_tau)} and {sigma.shape}"
+        )
+    reach = np.abs(np.asarray(records.nodes)).max(axis=(1, 2)) / sigma
+    for name, far in zip(records.sensor_names, reach, strict=True):
+        if records.nodes.dtype == np.float32 and far > COARSE:
+            warnings.warn(
+                f"{name} reaches {far:.0f} σ from the middle of its range, where float32 is "
+                "coarse; use JAX's x64, or a larger σ",
+                stacklevel=3,
+            )

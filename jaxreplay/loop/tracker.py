@@ -1,0 +1,191 @@
+"""Many replays tracked together, each belief in a window that fits it."""
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxreplay.filter import build_filter
+from jaxreplay.filter.belief import NOTHING_DROPPED, Belief, Jump
+from jaxreplay.filter.numerics.scaled import LOWEST
+from jaxreplay.loop.lanes import Steps, lane, steps
+from jaxreplay.machine import cores
+from jaxreplay.params import Params
+from jaxreplay.records import Records
+
+# Widths of windows to choose from, in moments of a record, besides all moments.
+WINDOWS = (128, 256, 384, 512, 768, 1152, 1728, 2592, 3888)
+LANES = 28  # replays that are advanced in one call, so that one compiled program serves all
+NARROW_EVERY = 32  # steps after which a narrower window is tried
+# A window may drop a hypothesis only if it is so improbable that this many observations could not
+# make it win again, even if each favoured it by as much as the records' range allows, …
+RETURN_AFTER = 24
+MARGIN = 200  # … and by this many bits more, for records that hardly differ
+
+_lane_of = jax.jit(lane)
+
+
+def windows_for(records: Records, windows: Sequence[int] | None = None) -> tuple[int | None, ...]:
+    """Return the windows narrower than the records, and None, which stores all moments.
+
+    Args:
+        records: the records.
+        windows: widths in ascending order; `WINDOWS` if None.
+    """
+    widths = WINDOWS if windows is None else windows
+    return (*(w for w in widths if w < records.longest), None)
+
+
+class Tracker:
+    """Tracks B replays that advance together, each belief in a window of its own width.
+
+    Between steps a belief is the predicted one, and its command is ready to be sent. No step drops
+    a hypothesis more probable than 2^`droppable`: a step that would is computed again in a wider
+    window, from the belief before it. Every 32 steps a narrower window is tried. Results of a
+    replay do not depend on the replays beside it.
+
+    A dropped hypothesis may be missed later: a robot that stands still for hundreds of steps and is
+    then carried back to where it was long before is not found there by a narrow window.
+
+    Attributes:
+        command: `[B, n_u]` the commands to send next.
+        window: `[B]` index of the window that each replay is in.
+        widened: `[B]` steps computed again in a wider window since the replay began.
+        dropped: `[B]` log2 of the most probable hypothesis dropped since then; −∞ for none.
+        droppable: `[B]` log2 of the limit on `dropped`, which follows from σ.
+    """
+
+    def __init__(
+        self,
+        records: Records,
+        params: Params,
+        jump: Jump,
+        windows: Sequence[int] | None = None,
+    ):
+        """Begin B replays.
+
+        Args:
+            records: N records.
+            params: `[B]`-batched parameters.
+            jump: `"same_tau"` or `"own_tau"`.
+            windows: widths in ascending order, to choose from besides all moments; `WINDOWS` if
+                None.
+        """
+        self.records, self.params, self.jump = records, params, jump
+        self.windows = windows_for(records, windows)
+        self._centred = records.centred()
+        n = len(params.theta_i)
+        self.command = np.zeros((n, records.n_commands))
+        self.window, self.widened, self._observed = np.zeros((3, n), int)
+        self.dropped = np.full(n, -np.inf)
+        # For each window the beliefs of all replays; that of a replay is valid in its own window.
+        self._beliefs: list[Belief | None] = [None] * len(self.windows)
+        self.begin(np.ones(n, bool), params)
+
+    def begin(self, which: np.ndarray, params: Params) -> None:
+        """Begin replays at the records' first samples.
+
+        Args:
+            which: `[B]` the replays that begin; the others go on.
+            params: `[B]`-batched parameters of all replays from now on.
+        """
+        self.params = params
+        low, high = np.asarray(self.records.span, float)
+        most = np.sum(((high - low)[None] / params.sigma) ** 2, axis=1) / (2 * np.log(2))
+        limit = np.maximum(-RETURN_AFTER * most - MARGIN, LOWEST - 1)
+        self.droppable = limit.astype(np.int32)
+        command = self._run(0, self._steps(0).begin, which, params)
+        self.command[which] = np.asarray(command)[which]
+        self.window[which] = self.widened[which] = self._observed[which] = 0
+        self.dropped[which] = -np.inf
+
+    def observe(self, z: np.ndarray, which: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Update beliefs with an observation each, and predict.
+
+        Args:
+            z: `[B, n_s]` Z_t; NaN marks a missing sensor.
+            which: `[B]` the replays that observe; the others stay as they are.
+
+        Returns:
+            log p(Z_t | Z_{1:t−1}) and p(τ in the last 10 samples), each `[B]`; 0 for the others.
+        """
+        z = np.asarray(self.records.centre(z))
+        log_evidence, ended = np.zeros((2, len(which)))
+        last = len(self.windows) - 1
+        for k in range(last + 1):
+            now = which & (self.window == k)
+            if not now.any():
+                continue
+            results = self._run(k, self._steps(k).observe, now, self.params, z, self.droppable)
+            results = jax.tree.map(np.asarray, results)
+            lossy = now & (results.dropped > self.droppable)
+            if k < last and lossy.any():
+                self._run(k + 1, self._steps(k + 1).move, lossy, self._beliefs[k])
+                self.window[lossy] += 1  # the loop comes to it next
+                self.widened[lossy] += 1
+                now &= ~lossy
+            self._record_dropped(now, results.dropped)
+            self.command[now] = results.command[now]
+            log_evidence[now] = results.log_evidence[now]
+            ended[now] = results.end_probability[now]
+        self._observed[which] += 1
+        self._narrow(which & (self._observed % NARROW_EVERY == 0))
+        return log_evidence, ended
+
+    def belief(self, b: int) -> Belief:
+        """Return the belief of replay b, as predicted for its next step."""
+        return _lane_of(self._beliefs[self.window[b]], b)
+
+    def compile(self) -> None:
+        """Compile every program that may be needed, so that no step waits for it."""
+        z = np.asarray(self.records.centre(np.zeros((len(self.window), self.records.n_sensors))))
+        nobody = np.zeros(len(self.window), bool)
+        last = len(self.windows) - 1
+
+        def compile_for(k: int) -> None:
+            _lane_of(self._room(k), 0)
+            compiled = self._steps(k)
+            self._call(compiled.observe, self._room(k), nobody, self.params, z, self.droppable)
+            for neighbour in {max(k - 1, 0), min(k + 1, last)} - {k}:
+                self._call(compiled.move, self._room(k), nobody, self._room(neighbour))
+
+        self._call(self._steps(0).begin, self._room(0), nobody, self.params)
+        with ThreadPoolExecutor(cores()) as threads:
+            list(threads.map(compile_for, range(last + 1)))
+
+    def _narrow(self, which: np.ndarray) -> None:
+        for k in range(1, len(self.windows)):
+            now = which & (self.window == k)
+            if now.any():
+                move = self._steps(k - 1).move
+                dropped = np.asarray(self._run(k - 1, move, now, self._beliefs[k]))
+                now &= dropped <= self.droppable - 4
+                self.window[now] -= 1
+                self._record_dropped(now, dropped)
+
+    def _record_dropped(self, which: np.ndarray, bits: np.ndarray) -> None:
+        bits = np.where(bits > NOTHING_DROPPED, bits, -np.inf)
+        self.dropped[which] = np.maximum(self.dropped, bits)[which]
+
+    def _steps(self, k: int) -> Steps:
+        return steps(self.jump, self.windows[k])
+
+    def _run(self, k: int, step: Any, which: np.ndarray, first: Any, *rest: Any) -> Any:
+        """Run a step on beliefs in window k, for the replays marked; return its results."""
+        beliefs = self._beliefs[k]
+        if beliefs is None:
+            beliefs = self._room(k)
+        self._beliefs[k], results = self._call(step, beliefs, which, first, *rest)
+        return results
+
+    def _call(self, step: Any, beliefs: Belief, which: np.ndarray, first: Any, *rest: Any) -> Any:
+        chosen = np.argsort(~which, kind="stable").astype(np.int32)
+        return step(self._centred, first, beliefs, chosen, which.sum(), *rest)
+
+    def _room(self, k: int) -> Belief:
+        """Return memory for the beliefs of all replays in window k."""
+        shapes = jax.eval_shape(build_filter(self.jump, self.windows[k]).init, self._centred)
+        return jax.tree.map(lambda x: jnp.zeros((len(self.window), *x.shape), x.dtype), shapes)

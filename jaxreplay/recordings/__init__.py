@@ -1,0 +1,1 @@
+"""A user's own recordings: read them, inspect them, and choose parameters with them."""

@@ -1,0 +1,96 @@
+"""One run of a study done again, and recorded step by step."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from gymnasium.vector import VectorEnv, VectorWrapper
+
+from jaxreplay.filter import build_filter
+from jaxreplay.filter.belief import Jump
+from jaxreplay.loop.replay import replay
+from jaxreplay.params import Params
+from jaxreplay.records import Records
+from jaxreplay.study.config import StudyConfig
+from jaxreplay.study.dataset import Trace
+from jaxreplay.study.factors import FACTORS
+from jaxreplay.study.runs import records_of, runs_of, settings_of, worlds_of
+from jaxreplay.study.shard import outcomes
+
+
+def run_again(config: StudyConfig, records: Records, k: int) -> Trace:
+    """Do the k-th run of a study again and record it.
+
+    Args:
+        config: the study.
+        records: all its demonstrations.
+        k: the run's index, counted along the dataset's dimensions.
+
+    Returns:
+        The run. On a processor of the same kind it is the same as in the study, bit for bit.
+    """
+    one = runs_of(config).of(np.array([k]))
+    params, (seed,), options = settings_of(config, one)
+    jump, chosen = one.values["jump"][0], records_of(config, records, one)
+    trace = trace_of(chosen, params, worlds_of(one, 1), jump, seed, options)
+    values = {FACTORS[n].symbol: v[0] for n, v in one.values.items() if v[0] is not None}
+    return trace._replace(values=values, position=int(one.position[0]), repeat=int(one.repeat[0]))
+
+
+def trace_of(
+    records: Records,
+    params: Params,
+    worlds: VectorEnv,
+    jump: Jump,
+    seed: int,
+    options: dict[str, np.ndarray],
+) -> Trace:
+    """Run one replay in the plane and record it; arguments as of :func:`jaxreplay.replay`."""
+    env = _Recorder(worlds)
+    replays = replay(records, params, env, [seed], jump=jump, options=options)
+    columns = [np.array(column) for column in zip(*env.rows, strict=True)]
+    observations, commands, robot, cube, elevation, tilt, held = columns
+    one = jax.tree.map(lambda x: x[0], params)
+    return Trace(
+        observations=observations,
+        commands=commands,
+        beliefs=beliefs(records, one, jump, observations),
+        robot=robot,
+        cube=cube,
+        elevation=elevation,
+        tilt=tilt,
+        held=held,
+        lengths=np.asarray(records.lengths),
+        outcome=str(outcomes(replays)[0]),
+        stall=str(replays.info["stall"][0]),
+        alignment_error=float(replays.info["alignment_error"][0]),
+    )
+
+
+def beliefs(records: Records, params: Params, jump: Jump, observations: np.ndarray) -> np.ndarray:
+    """Return p(I, τ | Z_1:t) of every step of a replay, `[T, N, L]`, with all moments stored."""
+    filter, centred = build_filter(jump), records.centred()
+
+    def step(belief, z):
+        belief, _ = filter.update(centred, params, filter.predict(centred, params, belief), z)
+        return belief, filter.posterior(centred, belief)
+
+    z = jnp.asarray(records.centre(observations))
+    return np.asarray(jax.jit(lambda: jax.lax.scan(step, filter.init(centred), z)[1])())
+
+
+class _Recorder(VectorWrapper):
+    """Records the observation, the command and the pose of the first world at each step."""
+
+    def __init__(self, env: VectorEnv):
+        super().__init__(env)
+        self.rows: list[tuple] = []
+
+    def step(self, actions: np.ndarray) -> tuple[Any, ...]:
+        """Simulate one control step and record it."""
+        result = self.env.step(actions)
+        plane: Any = self.env.unwrapped
+        pose = (x[0].copy() for x in plane.pose)
+        self.rows.append((result[0][0].copy(), actions[0].copy(), *pose, bool(plane.held[0])))
+        return result

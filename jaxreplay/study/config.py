@@ -1,0 +1,182 @@
+"""The description of a study, read from a TOML file and strictly checked."""
+
+import tomllib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from jaxreplay.errors import ConfigError
+from jaxreplay.plane.params import SENSOR_NAMES, SENSOR_RANGES
+from jaxreplay.plane.positions import TESTED
+from jaxreplay.study import parse
+from jaxreplay.study.factors import FACTORS, REQUIRED, added_sensors, sigma_factors
+
+SLOTS = 56  # worlds that advance together by default
+
+
+@dataclass(frozen=True)
+class StudyConfig:
+    """A study: every combination of its axes × test positions × repeats.
+
+    Attributes:
+        axes: for each factor that varies its values, in the file's order.
+        fixed: the value of every other factor.
+        zip: groups of axes that move together.
+        positions: of the cube in the test runs, (x, y) in m from the robot's start.
+        repeats: runs at each position.
+        seed: of the demonstrations and the runs, a non-negative integer.
+        slots: worlds that advance together.
+        demonstrations: file of records to replay; None: the study's own, made by the teacher.
+    """
+
+    axes: dict[str, tuple]
+    fixed: dict[str, Any]
+    zip: tuple[tuple[str, ...], ...] = ()
+    positions: tuple[tuple[float, float], ...] = tuple(map(tuple, TESTED.tolist()))
+    repeats: int = 3
+    seed: int = 0
+    slots: int = SLOTS
+    demonstrations: Path | None = None
+
+    @property
+    def dims(self) -> dict[str, tuple[str, ...]]:
+        """The dimensions of the axes: the factors along each, which is named for the first."""
+        group_of = {name: group for group in self.zip for name in group}
+        groups = [group_of.get(name, (name,)) for name in self.axes]
+        return {group[0]: group for group in groups}
+
+
+def load_config(path: str | Path, changes: Sequence[str] = ()) -> StudyConfig:
+    """Read and check the description of a study.
+
+    Args:
+        path: a TOML file; the paths in it are relative to its folder.
+        changes: values that replace the file's, each `KEY=VALUE` with the key dotted as in the
+            file, such as `"axis.theta_i.logspace=[-1, -3, 5]"`; paths in them are relative to the
+            current folder.
+
+    Raises:
+        ConfigError: the file is missing or not TOML, or it has an unknown key, or a value of a
+            wrong type or out of range.
+    """
+    path = Path(path)
+    given = _toml(path)
+    if isinstance(given.get("demonstrations"), str):
+        given["demonstrations"] = str(path.parent / given["demonstrations"])
+    try:
+        for change in changes:
+            _change(given, change)
+        return _checked(given)
+    except ValueError as error:
+        raise ConfigError(f"{path}: {error}") from None
+
+
+def tuned_changes(path: str | Path) -> list[str]:
+    """Return the parameters that `jaxreplay tune` saved, as changes for :func:`load_config`.
+
+    Raises:
+        ConfigError: the file is missing or not TOML, or does not contain such parameters, or
+            those of other sensors than the plane's.
+    """
+    given = _toml(Path(path))
+    sigma = given.get("sigma")
+    if given.keys() != {"theta_i", "theta_tau", "sigma"} or not isinstance(sigma, dict):
+        raise ConfigError(
+            f"{path}: must contain theta_i, theta_tau and a table sigma, as jaxreplay tune saves "
+            "them"
+        )
+    if sorted(sigma) != sorted(SENSOR_NAMES):
+        raise ConfigError(
+            f"{path}: its sensors are {', '.join(sigma)}; the plane has {', '.join(SENSOR_NAMES)}"
+        )
+    values = {name: given[name] for name in ("theta_i", "theta_tau")}
+    read = parse.number(0, float("inf"))
+    for name, full in zip(SENSOR_NAMES, SENSOR_RANGES, strict=True):
+        try:
+            values[f"sigma_{name}"] = read(sigma[name], f"sigma.{name}") / full
+        except ValueError as error:
+            raise ConfigError(f"{path}: {error}") from None
+    return [f"{name}={value!r}" for name, value in values.items()]
+
+
+def _toml(path: Path) -> dict[str, Any]:
+    try:
+        with path.open("rb") as file:
+            return tomllib.load(file)
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read: {error.strerror}") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path}: is not TOML: {error}") from None
+
+
+def _change(given: dict, change: str) -> None:
+    """Replace one value of a description by `KEY=VALUE`."""
+    key, equals, text = change.partition("=")
+    *path, last = key.strip().split(".")
+    if not equals or not last:
+        raise ValueError(f"--set {change}: give KEY=VALUE, such as axis.theta_i=[0.1, 0.01]")
+    try:
+        value = tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        value = text.strip()  # a word without its quotes
+    # A factor has either a value or an axis, and an axis one kind of spacing.
+    if path[:1] == ["axis"]:
+        given.pop((*path, last)[1], None)
+    elif not path and isinstance(given.get("axis"), dict):
+        given["axis"].pop(last, None)
+    for name in path:
+        if not isinstance(given.get(name), dict):
+            given[name] = {}
+        given = given[name]
+    if last in ("linspace", "logspace"):
+        given.clear()
+    given[last] = value
+
+
+def _checked(given: dict) -> StudyConfig:
+    """Return the study that a description means."""
+    axis = given.pop("axis", {})
+    if not isinstance(axis, dict):
+        raise ValueError(f"axis must be a table, [axis]; got {axis!r}")
+    others = {
+        "zip": lambda value, key: parse.groups(value, key, axes),
+        "positions": parse.positions,
+        "repeats": parse.whole(1, 10_000),
+        "seed": parse.whole(0, 2**63 - 1),
+        "slots": parse.whole(1, 4096),
+        "demonstrations": parse.file,
+    }
+    parse.known(given, (*FACTORS, *others, "axis"), "")
+    parse.known(axis, tuple(FACTORS), "axis.")
+    axes = {
+        name: tuple(parse.values(value, f"axis.{name}", FACTORS[name].read))
+        for name, value in axis.items()
+    }
+    fixed = {}
+    for name, factor in FACTORS.items():
+        if name in given and name in axes:
+            raise ValueError(f"{name} and axis.{name} are both given; keep one")
+        if name in given:
+            fixed[name] = factor.read(given[name], name)
+        elif name not in axes:
+            if factor.default is REQUIRED:
+                raise ValueError(f"{name} is missing; give one value, or a list as axis.{name}")
+            fixed[name] = factor.default
+    _check_sigma_axes(axes, fixed)
+    config = StudyConfig(
+        axes, fixed, **{key: read(given[key], key) for key, read in others.items() if key in given}
+    )
+    for group in config.dims.values():  # of axes that move together, one may repeat a value
+        together = list(zip(*(axes[name] for name in group), strict=True))
+        parse.distinct(together, ", ".join(f"axis.{name}" for name in group))
+    return config
+
+
+def _check_sigma_axes(axes: dict[str, tuple], fixed: dict[str, Any]) -> None:
+    given = {*axes, *(name for name, value in fixed.items() if value is not None)}
+    enabled = {*(name for name in axes if any(axes[name])), *(n for n, v in fixed.items() if v)}
+    used = sigma_factors(given, added_sensors(enabled))
+    for name in axes:
+        if name.startswith("sigma") and name not in used:
+            raise ValueError(f"axis.{name} has no effect: each of its sensors has a σ of its own")

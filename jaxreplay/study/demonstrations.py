@@ -1,0 +1,76 @@
+"""The records that a study replays: those of a file, or the study's own, made by the teacher."""
+
+import hashlib
+import json
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+
+from jaxreplay.errors import ConfigError
+from jaxreplay.plane.params import COMMAND_NAMES, SENSOR_NAMES, PlaneParams
+from jaxreplay.plane.positions import DEMONSTRATED
+from jaxreplay.plane.teacher import demonstrate
+from jaxreplay.recordings.read import read
+from jaxreplay.records import Records
+from jaxreplay.study.config import StudyConfig
+from jaxreplay.study.factors import choose_records
+from jaxreplay.study.store import RESULTS_FORMAT
+
+
+def record(params: PlaneParams, positions: np.ndarray, seed: int) -> Records:
+    """Return the teacher's demonstrations, with the cube at each position `[N, 2]` in m.
+
+    Raises:
+        RuntimeError: a demonstration failed.
+    """
+    made = demonstrate(params, positions, seed)
+    return Records.from_sequences(
+        made.sensors, made.commands, SENSOR_NAMES, COMMAND_NAMES, params.control_period
+    )
+
+
+def demonstrations(config: StudyConfig, folder: Path) -> Records:
+    """Return the records to replay: the config's file, or those in the folder, made if absent.
+
+    Raises:
+        ConfigError: the file does not contain records of the plane's sensors and commands, or
+            fewer records than the study replays.
+    """
+    plane = PlaneParams()
+    # The name follows from all that made them, so that no others are taken for them.
+    made_by = json.dumps([RESULTS_FORMAT, config.seed, DEMONSTRATED.tolist(), asdict(plane)])
+    own = folder / f"demonstrations_{hashlib.sha256(made_by.encode()).hexdigest()[:12]}.npz"
+    path = config.demonstrations or own
+    if not path.exists():
+        folder.mkdir(parents=True, exist_ok=True)
+        try:
+            record(plane, DEMONSTRATED, config.seed).save(path)
+        except RuntimeError as error:
+            raise ConfigError(f"{error}; choose another seed than {config.seed}") from None
+    records = read(path)
+    _check(records, path, plane)
+    for value in config.axes.get("records", (config.fixed.get("records"),)):
+        if value is not None:
+            try:
+                choose_records(value, records.n_records, config.seed, 0)
+            except ValueError as error:
+                raise ConfigError(f"{error} (of {path})") from None
+    return records
+
+
+def _check(records: Records, path: Path, plane: PlaneParams) -> None:
+    for names, wanted, what in (
+        (records.sensor_names, SENSOR_NAMES, "sensors"),
+        (records.command_names, COMMAND_NAMES, "commands"),
+    ):
+        if names != wanted:
+            raise ConfigError(
+                f"{path}: its {what} are {', '.join(names)}; the plane has {', '.join(wanted)}, "
+                "and can replay no others"
+            )
+    if records.period not in (None, plane.control_period):
+        raise ConfigError(
+            f"{path}: its rows are {records.period} s apart; the plane's control period is "
+            f"{plane.control_period} s: resample them"
+        )

@@ -1,0 +1,196 @@
+"""The factors that a study can vary: the filter's parameters, and the robot's properties."""
+
+from collections.abc import Callable, Collection, Hashable
+from typing import Any, NamedTuple
+
+import numpy as np
+from gymnasium.vector import VectorEnv
+
+from jaxreplay.filter.belief import READINGS
+from jaxreplay.plane import light
+from jaxreplay.plane.options import SETTINGS
+from jaxreplay.plane.params import SENSOR_NAMES, SENSOR_RANGES, PlaneParams
+from jaxreplay.study.parse import Reader, number, one_of, whole
+
+
+class AddedSensor(NamedTuple):
+    """A sensor that a factor adds to the plane's, in demonstrations and in runs.
+
+    Attributes:
+        name: of the sensor.
+        range: its highest value less its lowest, by which σ is multiplied.
+        level: a seed to the value that the sensor has throughout a demonstration.
+        worlds: worlds to the same worlds with the sensor.
+    """
+
+    name: str
+    range: float
+    level: Callable[..., float]
+    worlds: Callable[[Any], VectorEnv]
+
+
+class Factor(NamedTuple):
+    """Something a study can vary.
+
+    Attributes:
+        default: where the study gives no value; `REQUIRED` if it must. None: the default depends
+            on other factors (a sensor's σ on `sigma`), or changes nothing (`records`, `light`).
+        read: reads a value in a study's file (see `parse`).
+        symbol: the name in tables and figures.
+        units: of a number; empty for words and switches.
+        long_name: in words.
+        sensor: the sensor it adds where its value is true.
+        choose: a value, the number of records, the study's seed and a run's repeat to the
+            indices of the records to replay.
+        together: a value and a repeat to a key; runs with equal keys can be replayed in one
+            batch. None: runs with any values can.
+    """
+
+    default: Any
+    read: Reader
+    symbol: str
+    units: str
+    long_name: str
+    sensor: AddedSensor | None = None
+    choose: Callable[[Any, int, int, int], list[int]] | None = None
+    together: Callable[[Any, int], Hashable] | None = None
+
+
+REQUIRED = object()
+
+
+def read_records(given: Any, key: str) -> str:
+    """Read how many records to draw, or which to take; see :func:`choose_records`."""
+    if isinstance(given, int) and not isinstance(given, bool):
+        return f"{whole(1, 10_000)(given, key)} drawn"
+    if not isinstance(given, list) or not given:
+        raise ValueError(
+            f"{key} must be how many records to draw, such as 6, or a list of their numbers, "
+            f"such as [0, 4, 19]; got {given!r}"
+        )
+    which = [whole(0, 9_999)(k, f"{key}[{i}]") for i, k in enumerate(given)]
+    if len(set(which)) != len(which):
+        raise ValueError(f"{key} contains a record twice: {which}")
+    return " ".join(map(str, which))
+
+
+def choose_records(value: str, n_records: int, seed: int, repeat: int) -> list[int]:
+    """Return the indices of the records that a value of the factor `records` stands for.
+
+    Args:
+        value: `"6 drawn"`, or numbers such as `"0 4 19"`.
+        n_records: how many records there are.
+        seed: the study's seed.
+        repeat: the run's repeat; each draws anew, whatever its other factors.
+
+    Raises:
+        ValueError: there are fewer records than that.
+    """
+    first, *others = value.split()
+    if others == ["drawn"]:
+        if int(first) > n_records:
+            raise ValueError(f"records: {first} cannot be drawn from {n_records}")
+        rng = np.random.default_rng([seed, repeat, int(first)])
+        return sorted(rng.choice(n_records, int(first), replace=False).tolist())
+    which = [int(first), *map(int, others)]
+    if max(which) >= n_records:
+        raise ValueError(f"records: there is no {max(which)}; they are 0 to {n_records - 1}")
+    return which
+
+
+def _drawn_anew(value: str | None, repeat: int) -> Hashable:
+    """Return the key of runs that replay the same records."""
+    return value, repeat if value is not None and value.endswith("drawn") else None
+
+
+_PLANE = PlaneParams()
+
+FACTORS: dict[str, Factor] = {
+    "theta_i": Factor(REQUIRED, number(0, 1), "θ_I", "1", "probability to jump to another record"),
+    "theta_tau": Factor(0.05, number(0, 0.5), "θ_τ", "1", "probability to stay, and to skip"),
+    "sigma": Factor(0.1, number(1e-6, 1e6), "σ", "1", "σ of every sensor, as a share of its range"),
+    **{
+        f"sigma_{name}": Factor(
+            None, number(1e-6, 1e6), f"σ {name}", "1", f"σ of {name}, as a share of the range"
+        )
+        for name in ("camera", "proximeters", *SENSOR_NAMES[1:])
+    },
+    "jump": Factor(
+        "same_tau",
+        one_of(*READINGS),
+        "jump",
+        "",
+        "reading of a jump",
+        together=lambda value, repeat: value,
+    ),
+    "records": Factor(
+        None,
+        read_records,
+        "records",
+        "",
+        "which of the demonstrations",
+        choose=choose_records,
+        together=_drawn_anew,
+    ),
+    "light": Factor(
+        None,
+        one_of(False, True),
+        "light",
+        "",
+        "one more sensor, of the room's light",
+        sensor=AddedSensor(light.NAME, light.RANGE, light.light_level, light.Lit),
+        together=lambda value, repeat: bool(value),
+    ),
+    "dithering": Factor(
+        _PLANE.dithering, one_of(False, True), "dithering", "", "temporal dithering of the tracks"
+    ),
+    "motor_unit": Factor(
+        _PLANE.motor_unit,
+        number(*SETTINGS["motor_unit"]),
+        "motor unit",
+        "m/s",
+        "what track speeds round to",
+    ),
+    "battery": Factor(
+        _PLANE.battery,
+        number(*SETTINGS["battery"]),
+        "battery",
+        "1",
+        "voltage, as a share of a full battery's",
+    ),
+    "sensor_noise": Factor(
+        _PLANE.sensor_noise,
+        number(*SETTINGS["sensor_noise"]),
+        "sensor noise",
+        "1",
+        "factor on the sensors' noise",
+    ),
+}
+
+
+def added_sensors(enabled: Collection[str]) -> list[AddedSensor]:
+    """Return the sensors that these factors add."""
+    return [f.sensor for name, f in FACTORS.items() if f.sensor and name in enabled]
+
+
+def sigma_factors(given: Collection[str], added: Collection[AddedSensor] = ()) -> list[str]:
+    """Return, for each sensor, the most specific σ factor given: sensor, then group, then `sigma`.
+
+    Args:
+        given: the factors that have a value.
+        added: sensors beside the plane's.
+    """
+    found = []
+    for name in (*SENSOR_NAMES, *(sensor.name for sensor in added)):
+        group = ["sigma_proximeters"] if name.startswith("proximeter") else []
+        found.append([f for f in ("sigma", *group, f"sigma_{name}") if f in given][-1])
+    return found
+
+
+def sigma_of_sensors(values: dict[str, np.ndarray]) -> np.ndarray:
+    """Return σ of each sensor in its own unit, `[n, n_s]`, from the factors' values in n runs."""
+    given = {name for name, value in values.items() if value[0] is not None}
+    added = added_sensors({name for name in given if values[name][0]})
+    ranges = [*SENSOR_RANGES, *(sensor.range for sensor in added)]
+    columns = [values[name] for name in sigma_factors(given, added)]
+    return np.stack(columns, axis=1).astype(float) * np.array(ranges)

@@ -1,0 +1,84 @@
+"""A study run in a folder, shard by shard, continuing where it was stopped."""
+
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from jaxreplay.loop.replay import Replays
+from jaxreplay.study.config import StudyConfig
+from jaxreplay.study.dataset import VARIABLES
+from jaxreplay.study.demonstrations import demonstrations
+from jaxreplay.study.open import open_study
+from jaxreplay.study.runs import runs_of, shard_size, shards_of
+from jaxreplay.study.shard import durations, outcomes, run_shard, run_shard_elsewhere
+from jaxreplay.study.store import check_format, claimed, manifest_of, read_shard, write_shard
+
+# Takes a function, an argument that all calls share, and each call's own arguments by key; runs the
+# calls in workers and yields (key, result) as each ends.
+RunEach = Callable[[Callable, Any, dict[int, tuple]], Iterator[tuple[int, Any]]]
+
+
+def run_study(
+    config: StudyConfig,
+    folder: str | Path,
+    progress: Callable[[np.ndarray, np.ndarray], None] = lambda outcome, duration: None,
+    workers: Callable[[], AbstractContextManager[RunEach]] | None = None,
+) -> xr.Dataset:
+    """Run a study, or the part of it that its folder does not contain yet.
+
+    Args:
+        config: the study.
+        folder: made if absent; other files in it are left alone.
+        progress: called after each control step, or after each shard that a worker did, with the
+            outcome of every run of the study, empty for those not ended, and their seconds so far.
+        workers: opens processes to run shards in (see :mod:`jaxreplay.study.workers`); None: this
+            process. The results are the same bytes on processors of one kind.
+
+    Returns:
+        The dataset, as :func:`jaxreplay.open_study` returns it.
+
+    Raises:
+        ConfigError: the config's demonstrations do not fit; the folder contains another study, or
+            one of another results format; another process is running in it.
+        OSError: the folder cannot be written; workers cannot be reached, or were lost. Finished
+            shards are kept.
+    """
+    folder = Path(folder)
+    check_format(folder)  # before demonstrations are written into it
+    records = demonstrations(config, folder)
+    manifest = manifest_of(config, records, shard_size(config))
+    runs = runs_of(config)
+    outcome, duration = np.full(len(runs), "", "<U2"), np.zeros(len(runs))
+    with claimed(folder, manifest):
+        missing = {}
+        for k, which in enumerate(shards_of(runs, manifest["shard"])):
+            shard = read_shard(folder, k, manifest, VARIABLES)
+            if shard is None:
+                missing[k] = which
+            else:
+                outcome[which] = shard.outcome.values.astype("<U2")
+                duration[which] = shard.duration.values
+        progress(outcome, duration)
+        if workers is None:
+            for k, which in missing.items():
+
+                def show(so_far: Replays, which: np.ndarray = which) -> None:
+                    outcome[which], duration[which] = outcomes(so_far), durations(so_far)
+                    progress(outcome, duration)
+
+                shard = run_shard(config, records, runs.of(which), which, show)
+                write_shard(folder, k, manifest, shard)
+        elif missing:
+            calls = {k: (runs.of(which), which) for k, which in missing.items()}
+            shared = config, records, manifest
+            with workers() as run_each:
+                for k, shard in run_each(run_shard_elsewhere, shared, calls):
+                    write_shard(folder, k, manifest, shard)
+                    outcome[missing[k]] = shard.outcome.values
+                    duration[missing[k]] = shard.duration.values
+                    progress(outcome, duration)
+    return open_study(folder)

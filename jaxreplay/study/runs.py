@@ -1,0 +1,135 @@
+"""The runs of a study, and for each its parameters, records, cube position and seed."""
+
+import hashlib
+import json
+from itertools import product
+from typing import Any, NamedTuple
+
+import numpy as np
+from gymnasium.vector import VectorEnv
+
+from jaxreplay.params import Params
+from jaxreplay.plane.env import PlaneVectorEnv
+from jaxreplay.plane.options import SETTINGS
+from jaxreplay.plane.positions import facing
+from jaxreplay.records import Records
+from jaxreplay.study.config import SLOTS, StudyConfig
+from jaxreplay.study.factors import FACTORS, AddedSensor, added_sensors, sigma_of_sensors
+
+
+class Runs(NamedTuple):
+    """The n runs of a study, in the order of its dataset's dimensions.
+
+    Attributes:
+        values: of each factor in each run, `[n]` by name.
+        position: `[n]` index into the test positions.
+        repeat: `[n]`.
+    """
+
+    values: dict[str, np.ndarray]
+    position: np.ndarray
+    repeat: np.ndarray
+
+    def __len__(self) -> int:
+        """Return n."""
+        return len(self.position)
+
+    def of(self, which: np.ndarray) -> "Runs":
+        """Return some of the runs."""
+        values = {name: value[which] for name, value in self.values.items()}
+        return Runs(values, self.position[which], self.repeat[which])
+
+    @property
+    def enabled(self) -> set[str]:
+        """The factors whose value is true in all runs of a shard."""
+        return {name for name, value in self.values.items() if len(value) and value[0]}
+
+
+def runs_of(config: StudyConfig) -> Runs:
+    """Return all runs of a study: every combination of its axes × test positions × repeats."""
+    counts = [len(config.axes[name]) for name in config.dims]
+    grid = np.array(list(product(*map(range, (*counts, len(config.positions), config.repeats)))))
+    *indices, position, repeat = grid.T
+    values = {name: np.full(len(grid), value) for name, value in config.fixed.items()}
+    for group, index in zip(config.dims.values(), indices, strict=True):
+        values |= {name: np.array(config.axes[name])[index] for name in group}
+    return Runs({name: values[name] for name in FACTORS}, position, repeat)
+
+
+def shard_size(config: StudyConfig) -> int:
+    """Return how many runs are done and stored together: enough to fill the study's slots."""
+    return max(SLOTS, config.slots)
+
+
+def shards_of(runs: Runs, size: int) -> list[np.ndarray]:
+    """Divide runs into shards of runs that can be replayed in one batch; return their indices."""
+    keys = {name: f.together for name, f in FACTORS.items() if f.together}
+    alike: dict[tuple, list[int]] = {}
+    for k in range(len(runs)):
+        key = tuple(of(runs.values[name][k], runs.repeat[k]) for name, of in keys.items())
+        alike.setdefault(key, []).append(k)
+    return [
+        np.array(part[i : i + size]) for part in alike.values() for i in range(0, len(part), size)
+    ]
+
+
+def settings_of(config: StudyConfig, runs: Runs) -> tuple[Params, list[int], dict[str, np.ndarray]]:
+    """Return the parameters, seeds and reset options of runs, for :func:`jaxreplay.replay`.
+
+    A run's seed follows from the study's seed, the run's factors, position and repeat. It is the
+    same in whatever study the run occurs, and wherever in it.
+    """
+    values = runs.values
+    params = Params(values["theta_i"], values["theta_tau"], sigma_of_sensors(values))
+    seeds = []
+    for k in range(len(runs)):
+        given = {name: _plain(value[k]) for name, value in values.items() if value[k] is not None}
+        key = json.dumps([config.seed, given, int(runs.position[k]), int(runs.repeat[k])])
+        seeds.append(int.from_bytes(hashlib.sha256(key.encode()).digest()[:8]))
+    options = {name: values[name] for name in SETTINGS}
+    options["cube"] = facing(np.array(config.positions)[runs.position])
+    return params, seeds, options
+
+
+def records_of(config: StudyConfig, records: Records, runs: Runs) -> Records:
+    """Return the records that the runs of one shard replay.
+
+    Sensors are added before records are chosen, so that a record's sensors do not depend on the
+    choice.
+
+    Raises:
+        ValueError: fewer records than the runs ask for.
+    """
+    for sensor in added_sensors(runs.enabled):
+        records = _with_sensor(records, sensor, config.seed)
+    for name, factor in FACTORS.items():
+        value = runs.values[name][0]
+        if factor.choose and value is not None:
+            which = factor.choose(value, records.n_records, config.seed, int(runs.repeat[0]))
+            records = records.subset(which)
+    return records
+
+
+def worlds_of(runs: Runs, slots: int) -> VectorEnv:
+    """Return the worlds in which the runs of one shard run."""
+    worlds = PlaneVectorEnv(min(slots, len(runs)))
+    for sensor in added_sensors(runs.enabled):
+        worlds = sensor.worlds(worlds)
+    return worlds
+
+
+def _with_sensor(records: Records, sensor: AddedSensor, seed: int) -> Records:
+    """Return records with one more sensor, which has one value throughout each record."""
+    sensors, commands = records.sequences()
+    levels = [np.full((len(rows), 1), sensor.level(seed, i)) for i, rows in enumerate(sensors)]
+    return Records.from_sequences(
+        [np.hstack(pair) for pair in zip(sensors, levels, strict=True)],
+        commands,
+        (*records.sensor_names, sensor.name),
+        records.command_names,
+        records.period,
+    )
+
+
+def _plain(value: Any) -> Any:
+    return value.item() if isinstance(value, np.generic) else value

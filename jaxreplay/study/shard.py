@@ -1,0 +1,128 @@
+"""A shard: runs of a study replayed in one batch, and their results as a dataset."""
+
+import platform
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import jax
+import numpy as np
+import xarray as xr
+
+from jaxreplay.errors import ConfigError
+from jaxreplay.loop.audit import audit
+from jaxreplay.loop.replay import Replays, replay
+from jaxreplay.plane.params import PlaneParams
+from jaxreplay.records import Records
+from jaxreplay.study.config import StudyConfig
+from jaxreplay.study.runs import Runs, records_of, settings_of, worlds_of
+from jaxreplay.study.store import RESULTS_FORMAT
+
+AUDITED = 56  # one run in this many is filtered again without windows
+
+
+def run_shard(
+    config: StudyConfig,
+    records: Records,
+    runs: Runs,
+    which: np.ndarray,
+    progress: Callable[[Replays], None] = lambda so_far: None,
+) -> xr.Dataset:
+    """Do the runs of one shard.
+
+    Args:
+        config: the study.
+        records: all its demonstrations.
+        runs: the n runs.
+        which: `[n]` their indices in the study.
+        progress: called with the results so far after every control step.
+
+    Returns:
+        The variables of :data:`jaxreplay.study.dataset.VARIABLES` along `run`.
+    """
+    audited = np.flatnonzero(which % AUDITED == 0).tolist()
+    replays = replays_of(config, records, runs, audited, progress)
+    outcome = outcomes(replays)
+    results = {
+        "outcome": outcome,
+        "stall": replays.info["stall"],
+        "alignment_error": np.where(outcome == "S", 1e3 * replays.info["alignment_error"], np.nan),
+        "duration": durations(replays),
+        "log_evidence": replays.log_evidence,
+        "widened": replays.widened,
+        "dropped": replays.dropped,
+        "total_variation": np.full(len(runs), np.nan),
+        "command_error": np.full(len(runs), np.nan),
+    }
+    for k in audited:
+        one = runs.of(np.array([k]))
+        params = jax.tree.map(lambda x: x[0], settings_of(config, one)[0])
+        found = audit(
+            records_of(config, records, one),
+            params,
+            one.values["jump"][0],
+            np.array(replays.observations[k]),
+        )
+        results["total_variation"][k], results["command_error"][k] = found
+    return xr.Dataset({name: ("run", values) for name, values in results.items()})
+
+
+def run_shard_elsewhere(
+    shared: tuple[StudyConfig, Records, dict[str, Any]], runs: Runs, which: np.ndarray
+) -> xr.Dataset:
+    """Do the runs of one shard in a worker, whose installation may differ.
+
+    Raises:
+        ConfigError: the worker would give other results than the study's manifest promises.
+    """
+    config, records, manifest = shared
+    for what, here in (
+        ("format", RESULTS_FORMAT),
+        ("dtype", str(jax.dtypes.canonicalize_dtype(np.float64))),
+    ):
+        if here != manifest[what]:
+            raise ConfigError(
+                f"a worker on {platform.node()} has {what} {here}; this study needs "
+                f"{manifest[what]}"
+            )
+    return run_shard(config, records, runs, which)
+
+
+def replays_of(
+    config: StudyConfig,
+    records: Records,
+    runs: Runs,
+    keep: Sequence[int] = (),
+    progress: Callable[[Replays], None] = lambda so_far: None,
+) -> Replays:
+    """Replay runs that can be done in one batch; arguments as in :func:`run_shard`.
+
+    `keep` lists the runs whose observations are returned.
+    """
+    params, seeds, options = settings_of(config, runs)
+    return replay(
+        records_of(config, records, runs),
+        params,
+        worlds_of(runs, config.slots),
+        seeds,
+        jump=runs.values["jump"][0],
+        options=options,
+        keep=keep,
+        progress=progress,
+    )
+
+
+def outcomes(replays: Replays) -> np.ndarray:
+    """Return how replays in the plane ended, `[n]`, as in figure 3; empty while they run.
+
+    S: the cube is held and lifted when the replay ends. Fs: not ended within the time limit.
+    Fg: ended without the cube. Fb: left the experimental area.
+    """
+    success = replays.info.get("is_success", np.zeros(len(replays.ending), bool))
+    completed = np.where(success, "S", "Fg")
+    ways = [replays.ending == way for way in ("terminated", "completed", "truncated")]
+    return np.select(ways, ["Fb", completed, "Fs"], "")
+
+
+def durations(replays: Replays) -> np.ndarray:
+    """Return how long replays in the plane took so far, `[n]` in s."""
+    return replays.steps * PlaneParams().control_period

@@ -1,0 +1,164 @@
+"""What a user can get wrong in what `jaxreplay run` reads."""
+
+import re
+
+import numpy as np
+import pytest
+from study_helpers import SMALL, TUNED, write
+
+from jaxreplay import cli
+from jaxreplay.errors import ConfigError
+from jaxreplay.plane.params import COMMAND_NAMES, SENSOR_NAMES
+from jaxreplay.records import Records
+from jaxreplay.study.config import load_config
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("theta_ta = 0.1\n[axis]\ntheta_i = [0.1]", "unknown key theta_ta; did you mean theta_tau"),
+        (
+            "[axis]\ntheta_i = [0.1]\nsigm = [1]",
+            r"unknown key axis\.sigm; did you mean axis\.sigma",
+        ),
+        ("[axis]\ntheta_i = [0.1, 1.5]", r"axis\.theta_i\[1\] must be in \[0, 1\]; got 1\.5"),
+        ("[axis]\ntheta_i = [nan]", r"axis\.theta_i\[0\] must be in"),
+        ("[axis]\ntheta_i = 0.1", r"axis\.theta_i must be a list.*; write \[0\.1\]"),
+        ("[axis]\ntheta_i = []", r"axis\.theta_i must be a list of at least one"),
+        ("[axis]\ntheta_i = [0.1, 0.1]", r"axis\.theta_i contains a value twice"),
+        ("[axis]\ntheta_i = ['a']", r"axis\.theta_i\[0\] must be a number; got 'a'"),
+        ("[axis]\ntheta_i = {logspac = [0, 1, 2]}", r"unknown key axis\.theta_i\.logspac; did you"),
+        ("[axis]\ntheta_i = {logspace = [0, 1]}", r"logspace must be \[first exponent"),
+        (
+            "[axis]\ntheta_i = {linspace = [0, 1]}",
+            r"linspace must be \[first value, last value, how",
+        ),
+        ("[axis]\ntheta_i = {logspace = [0, 1, 2]}", r"axis\.theta_i\[1\] must be in \[0, 1\]"),
+        ("[axis]\ntheta_i = {logspace = [0, -1, 2.5]}", r"logspace\[2\] must be a whole number"),
+        (
+            "[axis]\ntheta_i = {linspace = [0, 1, 2], logspace = [0, 1, 2]}",
+            "needs a list, or one of",
+        ),
+        ("[axis]\ntheta_i = {}", "needs a list, or one of linspace and logspace"),
+        (
+            "[axis]\njump = ['same_tau']",
+            r"theta_i is missing; give one value, or a list as axis\.the",
+        ),
+        ("theta_i = 0.1\n[axis]\ntheta_i = [0.1]", r"theta_i and axis\.theta_i are both given"),
+        ("theta_i = [0.1]", r"theta_i must be a number; got \[0\.1\]"),
+        ("[axis]\ntheta_i = [0.1]\njump = ['both']", r"axis\.jump\[0\] must be one of"),
+        ("axis = 3", "axis must be a table"),
+        ("theta_i = 0.1\ntheta_tau = 0.6", r"theta_tau must be in \[0, 0\.5\]; got 0\.6"),
+        ("theta_i = 0.1\nsigma = 0", r"sigma must be in \[1e-06, 1e\+06\]; got 0"),
+        ("theta_i = 0.1\nsigma = inf", "sigma must be in"),
+        ("theta_i = 0.1\ndithering = 1", "dithering must be one of false, true; got 1"),
+        ("theta_i = 0.1\naxis.dithering = [true, 0]", r"axis\.dithering\[1\] must be one of false"),
+        ("theta_i = 0.1\nmotor_unit = 0", r"motor_unit must be in \[1e-06, 0\.3\]; got 0"),
+        ("theta_i = 0.1\nbattery = 2", r"battery must be in \[0\.05, 1\.5\]; got 2"),
+        ("theta_i = 0.1\nsensor_noise = -1", r"sensor_noise must be in \[0, 100\]; got -1"),
+        ("theta_i = 0.1\nsensor_noise = true", "sensor_noise must be a number; got True"),
+        ("theta_i = 0.1\nrepeats = 0", "repeats must be a whole number from 1 to"),
+        ("theta_i = 0.1\nrepeats = 10000000000", "repeats must be a whole number"),
+        ("[axis]\ntheta_i = [0.1]\njump = [['own_tau']]", r"axis\.jump\[0\] must be one of"),
+        ("[axis]\ntheta_i = [0.1]\njump = 'own_tau'", r"got 'own_tau'; write \['own_tau'\]"),
+        ("theta_i = 0.1\njump = ['own_tau']", "jump must be one of 'same_tau', 'own_tau'"),
+        (f"theta_i = 0.1\ntheta_tau = {'9' * 400}", r"theta_tau must be in"),
+        ("theta_i = 0.1\nseed = true", "seed must be a whole number"),
+        ("theta_i = 0.1\ndemonstrations = 3", "demonstrations must be a file's path"),
+        ("theta_i = 0.1\ndemonstrations = 'no.npz'", "there is no file"),
+        ("theta_i = 0.1\nsigma_camra = 1", "unknown key sigma_camra; did you mean sigma_camera"),
+        ("theta_i = 0.1\nrecords = 0", "records must be a whole number from 1 to"),
+        ("theta_i = 0.1\nrecords = 'six'", "records must be how many records to draw, such as 6"),
+        ("theta_i = 0.1\nrecords = [1, -1]", r"records\[1\] must be a whole number from 0 to"),
+        ("theta_i = 0.1\nrecords = [1, 1]", "records contains a record twice"),
+        ("theta_i = 0.1\nslots = 0", "slots must be a whole number from 1 to 4096"),
+        ("theta_i = 0.1\npositions = []", r"positions must be a list of \[x, y\] in m"),
+        ("theta_i = 0.1\npositions = [[0.3]]", r"positions\[0\] must be \[x, y\] in m"),
+        ("theta_i = 0.1\npositions = [[0.1, 0]]", r"positions\[0\]\[0\] must be in \[0\.2, 0\.7\]"),
+        ("theta_i = 0.1\npositions = {x = [0.3]}", "positions needs x and y"),
+        ("theta_i = 0.1\npositions = {x = [0.3], z = [0]}", r"unknown key positions\.z"),
+        ("zip = 3\ntheta_i = 0.1", "zip must list groups of axes"),
+        ("zip = [['sigma', 'battery']]\ntheta_i = 0.1", "zip names 'sigma', which is no axis"),
+        (
+            "zip = [['theta_i', 'battery']]\n[axis]\ntheta_i = [0.1]\nbattery = [1, 0.5]",
+            r"zip: theta_i, battery have \[1, 2\] values; give the same number of each",
+        ),
+        ("[axis\n", "is not TOML"),
+    ],
+)
+def test_a_mistake_is_one_line_and_status_2_before_any_work(tmp_path, capsys, text, message):
+    config = write(tmp_path, text)
+    with pytest.raises(ConfigError, match=message):
+        load_config(config)
+    out = tmp_path / "out"
+    assert cli.main(["run", str(config), "--out", str(out)]) == 2
+    printed = capsys.readouterr().err
+    assert printed.count("\n") == 1  # before the run is announced
+    assert str(config) in printed
+    assert not out.exists()
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ("theta_i", "--set theta_i: give KEY=VALUE"),
+        ("=3", "--set =3: give KEY=VALUE"),
+        ("theta_j=0.1", "unknown key theta_j; did you mean theta_i"),
+        ("axis.theta_i=0.1", r"axis\.theta_i must be a list"),
+        ("jump=[", "jump must be one of 'same_tau', 'own_tau'; got '\\['"),
+    ],
+)
+def test_a_mistake_in_set_is_reported_too(tmp_path, capsys, change, message):
+    config = write(tmp_path, SMALL)
+    assert cli.main(["run", str(config), "--set", change, "--out", str(tmp_path / "out")]) == 2
+    assert re.search(message, capsys.readouterr().err)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("theta_i = ", "tuned.toml: is not TOML"),
+        (SMALL, "must contain theta_i, theta_tau and a table sigma, as jaxreplay tune saves"),
+        (TUNED.replace("proximeter_5", "sonar"), "proximeter_4, sonar; the plane has camera, prox"),
+        (TUNED.replace("= 0.1\n", "= 'a'\n"), "tuned.toml: sigma.proximeter_0 must be a number"),
+        (TUNED.replace("= 0.1\n", "= 0\n"), "sigma_proximeter_0 must be in [1e-06, 1e+06]; got 0"),
+        (TUNED.replace("0.03", "3"), "theta_i must be in [0, 1]; got 3"),
+    ],
+)
+def test_a_mistake_in_tuned_parameters_is_reported(tmp_path, capsys, text, message):
+    config, out = write(tmp_path, SMALL), tmp_path / "out"
+    tuned = write(tmp_path, text, "tuned.toml")
+    assert cli.main(["run", str(config), "--params", str(tuned), "--out", str(out)]) == 2
+    printed = capsys.readouterr().err
+    assert message in printed
+    assert printed.count("\n") == 1
+    assert not out.exists()
+
+
+def test_mistakes_outside_the_file_too(tmp_path, capsys):
+    assert cli.main(["run", str(tmp_path / "none.toml")]) == 2
+    assert "cannot be read: No such file" in capsys.readouterr().err
+
+    other = Records.from_sequences([np.zeros((3, 2))], [np.zeros((3, 5))])
+    other.save(tmp_path / "other.npz")
+    config = write(tmp_path, 'demonstrations = "other.npz"\n' + SMALL)
+    assert cli.main(["run", str(config), "--out", str(tmp_path / "out")]) == 2
+    assert "its sensors are z0, z1; the plane has camera" in capsys.readouterr().err
+
+    (tmp_path / "other.npz").write_bytes(b"PK\x03\x04")
+    assert cli.main(["run", str(config), "--out", str(tmp_path / "out")]) == 2
+    assert "does not contain records (truncated" in capsys.readouterr().err
+
+    slow = [np.zeros((3, 7))], [np.zeros((3, 5))], SENSOR_NAMES, COMMAND_NAMES, 0.5
+    Records.from_sequences(*slow).save(tmp_path / "other.npz")
+    assert cli.main(["run", str(config), "--out", str(tmp_path / "out")]) == 2
+    assert "0.5 s apart; the plane's control period is 0.1 s" in capsys.readouterr().err
+
+    config = write(tmp_path, "records = [3, 20]\n" + SMALL)
+    assert cli.main(["run", str(config), "--out", str(tmp_path / "out")]) == 2
+    assert "records: there is no 20; they are 0 to 19 (of" in capsys.readouterr().err
+
+    (tmp_path / "file").write_text("")
+    config = write(tmp_path, SMALL)
+    assert cli.main(["run", str(config), "--out", str(tmp_path / "file")]) == 2
+    assert "is a file; give a folder" in capsys.readouterr().err

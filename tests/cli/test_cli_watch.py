@@ -1,0 +1,52 @@
+import re
+
+import pytest
+from PIL import Image
+from trace_helpers import trace
+
+from jaxreplay import cli
+from jaxreplay.figures.animation import title
+from jaxreplay.study import again
+
+
+def test_the_run_is_done_again_and_saved(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "study.toml").write_text("theta_i = 0.1")
+    asked = []
+
+    def run_again(config, records, k):
+        asked.append((config.fixed["theta_i"], records.n_records, k))
+        return trace()
+
+    monkeypatch.setattr(again, "run_again", run_again)
+    for arguments, path in (
+        (["--run", "7", "--speed", "40"], "results/study/run_7.gif"),
+        (["--out", "new/end.png"], "new/end.png"),
+    ):
+        assert cli.main(["watch", "study.toml", *arguments]) == 0
+        assert capsys.readouterr().out == f"{title(trace())}\n{path}\n"
+        with Image.open(path) as image:
+            assert image.format == path[-3:].upper()
+    assert asked == [(0.1, 20, 7), (0.1, 20, 0)]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["no.toml"], r"no\.toml: cannot be read"),
+        (["{config}", "--run", "1000"], "the study has 15 runs; give 0 to 14"),
+        (["{config}", "--run", "Fx"], "give a run's number, or one of S, Fs, Fg, Fb, fixed"),
+        (["{config}", "--run", "S"], "a TOML file has no outcomes yet; give a study's folder"),
+        (["{config}", "--out", "run.mp4"], r"its name must end in \.gif, or in \.png"),
+        (["{folder}"], r"study\.json is missing"),
+    ],
+)
+def test_a_mistake_is_one_line_and_status_2(tmp_path, monkeypatch, capsys, arguments, message):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "study.toml").write_text("theta_i = 0.1")
+    given = [a.format(config="study.toml", folder=str(tmp_path)) for a in arguments]
+    assert cli.main(["watch", *given]) == 2
+    printed = capsys.readouterr().err
+    assert printed.count("\n") == 1
+    assert re.search(message, printed)
+    assert [path.name for path in tmp_path.iterdir()] == ["study.toml"]

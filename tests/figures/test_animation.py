@@ -1,0 +1,62 @@
+import numpy as np
+import pytest
+from PIL import Image
+from trace_helpers import STEPS, trace
+
+from jaxreplay.figures.animation import View, animate, frames, title
+
+
+@pytest.fixture(scope="module")
+def run():
+    return trace()
+
+
+def test_the_title_says_which_run_it_is_and_how_it_ended(run):
+    assert title(run) == "S, error 2.3 mm\nθ_I 0.001, J own_tau; position 3, repeat 1"
+    stalled = run._replace(outcome="Fs", stall="cyclic", alignment_error=np.nan)
+    assert title(stalled).splitlines()[0] == "Fs (cyclic)"
+
+
+def test_frames_keep_the_pace_and_show_the_end():
+    assert frames(21, 1.0) == [*range(20), 20]
+    assert frames(21, 4.0) == [0, 4, 8, 12, 16, 20]
+    assert frames(21, 1000.0) == [0, 20]
+    assert frames(3, 0.5) == [0, 1, 2]
+    assert frames(1, 4.0) == [0]
+
+
+def test_an_animation_and_a_still(run, tmp_path):
+    progress = []
+    for name in ("run.gif", "run.png"):
+        animate(run, tmp_path / name, 20, lambda *at: progress.append(at))
+    with Image.open(tmp_path / "run.gif") as gif, Image.open(tmp_path / "run.png") as still:
+        wanted = len(frames(STEPS, 20))
+        assert gif.n_frames == wanted
+        assert progress == [(k + 1, wanted) for k in range(wanted)] + [(1, 1)]
+        first = np.asarray(gif.convert("RGB"), int)
+        gif.seek(wanted - 1)
+        last = np.asarray(gif.convert("RGB"), int)
+        assert np.abs(last - first).max() > 100
+        np.testing.assert_allclose(last, np.asarray(still.convert("RGB"), int), atol=40)
+
+
+@pytest.mark.parametrize("lit", [False, True])
+def test_all_sensors_are_drawn_and_the_light_where_there_is_one(run, lit):
+    light = np.full((STEPS, int(lit)), 0.7)
+    view = View(run._replace(observations=np.hstack([run.observations, light])))
+    view.show(5)
+    drawn = {line.get_label(): line.get_ydata() for line, _ in view.lines}
+    np.testing.assert_array_equal(drawn["camera"], run.observations[:6, 0])
+    np.testing.assert_array_equal(drawn["proximeter 5"], run.observations[:6, 6])
+    assert ("light" in drawn) == lit
+    assert not lit or np.all(drawn["light"] == 0.7)
+
+
+def test_a_step_shows_its_own_belief_and_the_past_up_to_it(run):
+    view = View(run)
+    view.show(5)
+    now = np.asarray(view.now.get_array())
+    np.testing.assert_allclose(now**4, run.beliefs[5].reshape(3, 20, 4).sum(axis=2))
+    past = np.asarray(view.past.get_array())
+    np.testing.assert_allclose(past[:, :6], run.beliefs[:6].sum(axis=2).T)
+    assert not past[:, 6:].any()

@@ -1,0 +1,65 @@
+"""Hypotheses too improbable for a float, and observations far from all records."""
+
+import jax
+import numpy as np
+import pytest
+from conftest import N_SENSORS, random_sequences
+from filter_helpers import both_precisions, both_readings, noise, run, run_reference, x64
+
+from jaxreplay import Params, build_filter
+
+SIGMA = np.array([0.5, 2.0])
+
+
+def plateaus(*levels):
+    """Records that stay at one value of all sensors, the first the longest."""
+    sensors = [np.full((200, N_SENSORS), level) * SIGMA for level in levels]
+    return sensors, random_sequences()[1][:1] * len(levels)
+
+
+@both_readings
+def test_a_record_far_behind_wins_again_when_observations_match_it(jump):
+    sequences = plateaus(0.0, 5.0, 40.0, 60.0)
+    zs = np.repeat([0.0, 5.0], [220, 260], axis=0)[:, None] * SIGMA
+    params = Params(0.0, 0.05, SIGMA)
+    (posterior, _, log_evidence, _), _ = run(build_filter(jump), sequences, zs, params)
+    want = run_reference(sequences, zs, 0.0, np.float32(0.05), SIGMA, jump)
+    weights = posterior.sum(2)
+    assert weights[219, 1] == 0  # e^-8250: below the smallest float
+    assert weights[430, 0] > 0.999
+    assert weights[-1, 1] > 0.999
+    np.testing.assert_allclose(weights, want[0].sum(2), atol=2e-3)
+    np.testing.assert_allclose(log_evidence, want[2], rtol=1e-4, atol=1e-4)
+
+
+@both_readings
+def test_a_moment_200_steps_behind_wins_again_when_observations_match_it(jump):
+    sensors, commands = plateaus(0.0, 0.0, 0.0, 0.0)
+    sensors[1][5] = 100 * SIGMA
+    zs = np.zeros((222, N_SENSORS))
+    zs[220] = 100 * SIGMA
+    sequences = (sensors, commands)
+    params = Params(0.0, 0.05, SIGMA)
+    (posterior, *_), _ = run(build_filter(jump), sequences, zs, params)
+    want = run_reference(sequences, zs, 0.0, np.float32(0.05), SIGMA, jump)
+    assert posterior[219, 1, :6].max() < 1e-38  # 0.05^220 or so
+    assert posterior[220, 1, 5] > 0.9
+    np.testing.assert_allclose(posterior, want[0], atol=2e-5)
+
+
+@both_readings
+@both_precisions
+@pytest.mark.parametrize("away", [1e3, 1e6, 1e12])
+@pytest.mark.parametrize("side", [-1, 1])
+def test_far_observations_choose_the_nearest_record(jump, precision, away, side):
+    sensors, commands = plateaus(0.0, 1.0, -1.0, 0.5)
+    sensors = [s + 0.1 * SIGMA * noise(i, *s.shape) for i, s in enumerate(sensors)]
+    zs = side * away * np.ones((3, 1)) * SIGMA
+    with x64(precision):
+        f, params = build_filter(jump), Params(0.1, 0.05, SIGMA)
+        (posterior, u, log_evidence, _), belief = run(f, (sensors, commands), zs, params)
+        assert all(
+            np.isfinite(x).all() for x in (posterior, u, log_evidence, *jax.tree.leaves(belief.p))
+        )
+    assert (posterior.sum(2).argmax(1) == (1 if side > 0 else 2)).all()
+    np.testing.assert_allclose(posterior.sum((1, 2)), 1, atol=1e-6)

@@ -1,0 +1,82 @@
+"""The loop drives any Gymnasium environment with Box observations and actions."""
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.vector import AutoresetMode
+
+from jaxreplay import Params, Records
+from jaxreplay.loop.replay import replay
+
+pytestmark = pytest.mark.usefixtures("fewer_windows")
+
+
+def params(n, sigma):
+    return Params(np.full(n, 0.1), np.full(n, 0.05), np.tile(sigma, (n, 1)))
+
+
+def mountain_car(slots, mode=AutoresetMode.DISABLED):
+    return gymnasium.make_vec(
+        "MountainCarContinuous-v0",
+        num_envs=slots,
+        vectorization_mode="sync",
+        vector_kwargs={"autoreset_mode": mode},
+    )
+
+
+@pytest.fixture(scope="module")
+def climbs():
+    """Pushing where it rolls brings the car up the mountain; 12 samples more beyond the flag.
+
+    The last 10 samples of a record count as its end.
+    """
+    car = gymnasium.make("MountainCarContinuous-v0").unwrapped
+    sensors, commands = [], []
+    for seed in range(10):
+        z, _ = car.reset(seed=seed)
+        seen, sent, beyond = [], [], 0
+        while beyond < 12:
+            push = np.array([1.0 if z[1] >= 0 else -1.0], np.float32)
+            z, _, up, *_ = car.step(push)
+            beyond += up
+            seen.append(z)
+            sent.append(push)
+        sensors.append(np.array(seen))
+        commands.append(np.array(sent))
+    return Records.from_sequences(sensors, commands, ["position", "velocity"], ["force"])
+
+
+@pytest.mark.parametrize("jump", ["same_tau", "own_tau"])
+def test_an_environment_of_somebody_else_is_driven_too(climbs, jump):
+    n = 12
+    sigma = 0.05 * np.array([1.8, 0.14])  # of its position's and velocity's ranges
+    seeds = [100 + k for k in range(n)]
+    result = replay(climbs, params(n, sigma), mountain_car(5), seeds, jump=jump)
+    assert np.mean(result.ending == "terminated") > 0.9
+    assert result.reward[result.ending == "terminated"].min() > 80  # 100 at the flag, less its way
+    demonstrated = np.asarray(climbs.lengths) - 11
+    assert 0.8 * demonstrated.min() < result.steps.min()
+    assert result.steps.max() < 1.2 * demonstrated.max()
+
+
+@pytest.mark.parametrize("mode", [AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP])
+def test_an_environment_that_resets_itself_is_refused(climbs, mode):
+    with pytest.raises(ValueError, match=r"autoreset mode is .*make it with AutoresetMode\.DISAB"):
+        replay(climbs, params(1, [1, 1]), mountain_car(1, mode), [0])
+
+
+@pytest.mark.parametrize(
+    ("name", "sizes", "message"),
+    [
+        ("MountainCarContinuous-v0", (3, 1), r"observations are Box.*the records have 3 numbers"),
+        ("MountainCarContinuous-v0", (2, 2), r"actions are Box.*the records have 2 numbers"),
+        ("CartPole-v1", (4, 1), r"actions are Discrete\(2\); the records have 1 numbers"),
+    ],
+)
+def test_an_environment_that_does_not_fit_the_records_is_refused(name, sizes, message):
+    env = gymnasium.make_vec(
+        name, vectorization_mode="sync", vector_kwargs={"autoreset_mode": AutoresetMode.DISABLED}
+    )
+    records = Records.from_sequences(*([np.zeros((20, size))] for size in sizes))
+    with pytest.raises(ValueError, match=message):
+        replay(records, params(1, np.ones(sizes[0])), env, [0])
