@@ -22,6 +22,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
+from textwrap import fill
 from typing import Any, NamedTuple
 
 import matplotlib.pyplot as plt
@@ -29,7 +30,7 @@ import numpy as np
 from plain_filter import PlainTracker
 
 from jaxreplay import Params, Records
-from jaxreplay.figures.outcomes import READINGS, write
+from jaxreplay.figures.outcomes import READINGS, tick_text
 from jaxreplay.figures.table import rate, wilson
 from jaxreplay.loop.replay import replay
 from jaxreplay.loop.tracker import Tracker
@@ -224,9 +225,9 @@ def figure(asked: Asked, theta_i: tuple[float, ...], path: Path):
                     s, rows + aside[k], xerr=np.abs(reach - s), fmt=marker, markersize=4,
                     color=str(0.6 * k / max(2, len(theta_i) - 1)),
                     markerfacecolor="white" if k else "black",
-                    capsize=2, lw=0.8, label=f"$\\theta_I$ = {write('theta_i', v)}",
+                    capsize=2, lw=0.8, label=f"$\\theta_I$ = {tick_text('theta_i', v)}",
                 )  # fmt: skip
-            ax.set_title(READINGS[jump], loc="left", fontsize=8)
+            ax.set_title(fill(READINGS[jump], 44), loc="left", fontsize=8)
             ax.set_xlabel("S, % (whiskers: 95 %)")
             ax.set_xlim(-3, 103)
             ax.grid(axis="y", lw=0.3)

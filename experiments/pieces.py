@@ -22,7 +22,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from scipy.stats import bootstrap
 
-from jaxreplay.figures.outcomes import write
+from jaxreplay.figures.outcomes import tick_text
 from jaxreplay.filter import build_filter
 from jaxreplay.machine import keep_compiled
 from jaxreplay.params import Params
@@ -147,7 +147,7 @@ def figure(theta_i, won, pieces, records: Records, path: Path):
                 range(len(values)), mean, [mean - low, high - mean], fmt=style, capsize=2,
                 color="black" if name == "S" else "0.55", label=name, markersize=4,
             )  # fmt: skip
-        left.set_xticks(range(len(values)), [write("theta_i", v) for v in values], rotation=90)
+        left.set_xticks(range(len(values)), [tick_text("theta_i", v) for v in values], rotation=90)
         left.set_xlabel("$\\theta_I$")
         left.set_ylabel("pieces a run (mean, 95 %)")
         left.set_ylim(0, 1.1 * max(map(len, pieces)))

@@ -6,7 +6,7 @@ Takes a finished study over θ_I, θ_τ and σ, such as that of `experiments/gri
 cell has the success rate of a robot with such parameters. Each cell's parameters are also scored
 without any robot: some of the demonstrations are left out in turn and filtered with the others,
 which gives the error of the predicted commands and the log evidence of what was observed (see
-`jaxreplay.recordings.scores`; `jaxreplay tune` climbs one or the other). The table compares how
+`jaxreplay.recordings.scores`; `jaxreplay tune` optimises one or the other). The table compares how
 each score ranks the cells with how success ranks them, and lists the success of the cell that each
 score picks. Cells without a finished run are skipped.
 """

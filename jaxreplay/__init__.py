@@ -1,4 +1,4 @@
-"""Replay demonstrations with a Bayesian filter over records and moments.
+"""Replay demonstrations with a Bayesian filter over records and moments (positions on a record).
 
 After Magnenat, Pradalier & Colas, *Towards Non-Parametric Bayesian Learning of Robot
 Behaviors from Demonstration*. Equation and section numbers throughout are that paper's.

@@ -1,4 +1,4 @@
-"""A user's mistakes, and the words that tell of them."""
+"""The error raised for a user's mistakes, and suggestions for misspelt names."""
 
 import difflib
 from collections.abc import Iterable

@@ -9,7 +9,7 @@ from conftest import random_sequences
 from filter_helpers import COMPILE_QUICKLY
 
 from jaxreplay import Params, reference
-from jaxreplay.recordings import climb
+from jaxreplay.recordings import optimise
 
 LENGTHS = (100, 110, 95, 105, 98, 102)
 
@@ -71,8 +71,8 @@ def expected(sequences, i, params, jump):
 def gradient_compiled_quickly():
     """The gradient takes longer to compile than all else takes to run."""
     compiled = jax.jit(
-        climb._gradient.__wrapped__, static_argnames="jump", compiler_options=COMPILE_QUICKLY
+        optimise._gradient.__wrapped__, static_argnames="jump", compiler_options=COMPILE_QUICKLY
     )
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(climb, "_gradient", compiled)
+        patch.setattr(optimise, "_gradient", compiled)
         yield

@@ -146,6 +146,11 @@ def test_a_missing_file_is_named(tmp_path):
         Records.load(tmp_path / "absent.npz")
 
 
+def test_a_folder_is_not_reported_as_a_damaged_file(tmp_path):
+    with pytest.raises(IsADirectoryError):
+        Records.load(tmp_path)
+
+
 def test_truncated_file_is_an_error_wherever_it_was_cut(tmp_path, records):
     path = tmp_path / "records.npz"
     records.save(path)

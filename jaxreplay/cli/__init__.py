@@ -48,7 +48,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="jaxreplay",
-        description="How far does a robot get by replaying demonstrations? Studies of θ_I, θ_τ, σ.",
+        description="Replay recorded demonstrations with a Bayesian filter: run parameter studies "
+        "in simulation, inspect recordings, tune θ_I, θ_τ and σ.",
     )
     commands = parser.add_subparsers(required=True, metavar="command")
     for command in (run, show, plot, watch, tune, inspect):

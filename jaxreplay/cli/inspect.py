@@ -14,9 +14,14 @@ def add_to(commands: Commands) -> None:
         help="summarise recordings, and name what is unusual in them",
         description="Summarise recordings in a table and a figure, and name what is unusual.",
     )
-    parser.add_argument("records", type=Path, metavar="RECORDS", help="an .npz of Records.save")
     parser.add_argument(
-        "--out", type=Path, metavar="FILE", help="the figure (default: RECORDS, but .png)"
+        "records", type=Path, metavar="RECORDS", help="an .npz file of Records.save"
+    )
+    parser.add_argument(
+        "--out",
+        type=Path,
+        metavar="FILE",
+        help="the figure (default: RECORDS with the suffix .png)",
     )
     parser.set_defaults(action=_inspect)
 

@@ -34,10 +34,10 @@ def add_to(commands: Commands) -> None:
     )
     where = parser.add_mutually_exclusive_group()
     where.add_argument(
-        "--workers", type=count, metavar="N", help="run shards in N processes on this machine"
+        "--workers", type=count, metavar="N", help="run in N processes on this machine"
     )
     where.add_argument(
-        "--scheduler", metavar="ADDRESS", help="run shards on the workers of this Dask scheduler"
+        "--scheduler", metavar="ADDRESS", help="run on the workers of this Dask scheduler"
     )
     parser.add_argument(
         "--set",
@@ -49,10 +49,15 @@ def add_to(commands: Commands) -> None:
         "jump=own_tau; a single value takes the place of FILE's axis",
     )
     parser.add_argument(
-        "--params", type=Path, metavar="TUNED", help="a file that tune saved: its θ_I, θ_τ and σ"
+        "--params",
+        type=Path,
+        metavar="TUNED",
+        help="take θ_I, θ_τ and σ from a file saved by jaxreplay tune",
     )
     parser.add_argument(
-        "--dry-run", action="store_true", help="only print its size, and measure what it will cost"
+        "--dry-run",
+        action="store_true",
+        help="only print the number of runs, and estimate time and memory",
     )
     parser.set_defaults(action=_run)
 
@@ -78,13 +83,15 @@ def _run(options: argparse.Namespace) -> None:
     shards = len(shards_of(runs, shard_size(config)))
     print(f"{folder}: {_count(len(runs), 'run')} in {_count(shards, 'shard')}", file=sys.stderr)
     if options.dry_run:
-        print(_cost(config, folder, len(runs), options.workers), file=sys.stderr)
+        print(_cost(config, folder, len(runs), options), file=sys.stderr)
         return
     try:
         with _workers(options) as workers:
             dataset = run_study(config, folder, Progress(len(runs)), workers)
     except KeyboardInterrupt:
-        raise KeyboardInterrupt("finished shards are kept, the same command continues") from None
+        raise KeyboardInterrupt(
+            "finished shards are kept; run the same command again to continue"
+        ) from None
     drawn = draw(dataset, folder)
     print(table(dataset))
     print(f"{folder}: the study, {drawn}")
@@ -94,21 +101,26 @@ def _count(n: int, what: str) -> str:
     return f"{n} {what}{'s' * (n > 1)}"
 
 
-def _cost(config: "StudyConfig", folder: Path, runs: int, workers: int | None) -> str:
-    """Return a line on the time and memory that a study will take, measured on a few runs."""
+def _cost(config: "StudyConfig", folder: Path, runs: int, options: argparse.Namespace) -> str:
+    """Return a line on the time and memory that a study will take, measured on a few runs.
+
+    The workers of a scheduler are unknown, so with one it gives only the time of a run.
+    """
     from jaxreplay.machine import cores
     from jaxreplay.study.cost import SAMPLE, estimate
     from jaxreplay.study.demonstrations import demonstrations
 
-    print(f"measuring {SAMPLE} of them", file=sys.stderr)
+    print(f"measuring {_count(min(SAMPLE, runs), 'run')}", file=sys.stderr)
     with TemporaryDirectory() as elsewhere:
         place = folder if folder.exists() else Path(elsewhere)
         cost = estimate(config, demonstrations(config, place))
-    n = min(workers or cores(), cores())
+    if options.scheduler:
+        return f"about {cost.seconds:.2f} s a run on one core of this machine"
+    n = min(options.workers or cores(), cores())
     minutes = runs * cost.seconds / n / 60
     return (
         f"about {minutes:.1f} min on {_count(n, 'core')} ({cost.seconds:.2f} s a run on one), "
-        f"{cost.memory / 2**30:.1f} GiB{' a worker' if workers else ''}"
+        f"{cost.memory / 2**30:.1f} GiB{' a worker' if options.workers else ''}"
     )
 
 

@@ -14,14 +14,15 @@ def add_to(commands: Commands) -> None:
         help="choose parameters from records alone",
         description="Leave each record out in turn, filter it with the others, and follow the "
         "gradient of how well its commands are predicted. Prints and saves the parameters, and "
-        "draws the curve.",
+        "draws a figure of scores and parameters at each step.",
     )
     parser.add_argument("records", type=Path, metavar="RECORDS", help="an .npz file of records")
     parser.add_argument(
         "--jump",
         choices=("same_tau", "own_tau"),
         default="same_tau",
-        help="reading of a jump (default: same_tau)",
+        help="where a jump to another record lands: same_tau (equation 6 as printed: τ is kept) or "
+        "own_tau (each record keeps its own distribution over τ) (default: same_tau)",
     )
     parser.add_argument(
         "--score",
@@ -30,12 +31,15 @@ def add_to(commands: Commands) -> None:
         help="what to improve: the error of predicted commands (default), or the log evidence of "
         "the observations, which means little where a sensor repeats values exactly",
     )
-    parser.add_argument("--steps", type=count, default=30, metavar="N", help="(default: 30)")
+    parser.add_argument(
+        "--steps", type=count, default=30, metavar="N", help="optimisation steps (default: 30)"
+    )
     parser.add_argument(
         "--out",
         type=Path,
         metavar="FILE",
-        help="a .toml; the curve is saved beside it as .png (default: beside RECORDS)",
+        help="a .toml; the figure is saved beside it as .png (default: RECORDS_JUMP.toml beside "
+        "RECORDS)",
     )
     parser.set_defaults(action=_tune)
 
@@ -70,4 +74,4 @@ def _tune(options: argparse.Namespace) -> None:
     print(summary(records, tuned))
     save(records, tuned, options.records, path)
     tuning_figure(records, tuned, path.with_suffix(".png"))
-    print(f"{path}: the parameters; {path.with_suffix('.png')}: the curve")
+    print(f"{path}: the parameters; {path.with_suffix('.png')}: the figure")

@@ -25,15 +25,17 @@ def add_to(commands: Commands) -> None:
         "--run",
         default="0",
         metavar="RUN",
-        help="its number, counted along the dataset's dimensions from 0; or, of a folder, the "
-        "first with an outcome (S, Fs, Fg, Fb) or a stall (fixed, cyclic, slow)",
+        help="index of the run from 0, in the order of the file's axes, then positions, then "
+        "repeats; or, of a folder, the first with an outcome (S, Fs, Fg, Fb) or a stall (fixed, "
+        "cyclic, slow)",
     )
     parser.add_argument("--speed", type=speed, default=4.0, help="times real time (default: 4)")
     parser.add_argument(
         "--out",
         type=Path,
         metavar="FILE",
-        help="a .gif, or a .png for a still of the end (default: run_RUN.gif beside the study)",
+        help="a .gif, or a .png for a still of the end (default: run_RUN.gif in the study's "
+        "folder; for a TOML file: in results/NAME)",
     )
     parser.set_defaults(action=_watch)
 

@@ -22,7 +22,8 @@ from jaxreplay.study.dataset import Trace
 
 FRAMES = 10  # per second of the animation
 HOLD = 2  # s for which the last frame is shown
-_BIN = 4  # moments whose probabilities are added up in one pixel of the belief
+# Moments τ (positions on a record) whose probabilities are added up in one pixel of the belief.
+_BIN = 4
 
 
 Styles = tuple[tuple[str, dict[str, Any]], ...]  # a label and a line's style each
@@ -183,7 +184,7 @@ _COMMANDS: Styles = (
     ("tilt", {"color": "#7a4b94", "ls": "--"}),
     ("magnet", {"color": "black", "ls": ":"}),
 )
-_SCALES = "commands (tracks in 5 cm/s; gripper as a share of its travel)"
+_SCALES = "commands (tracks in units of 5 cm/s; gripper as a share of its travel)"
 
 
 def _scaled(commands: np.ndarray) -> np.ndarray:

@@ -11,11 +11,11 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
-from jaxreplay.figures.outcomes import label, title, write
+from jaxreplay.figures.outcomes import label, tick_text, title
 from jaxreplay.study.dataset import axes_of, cells, is_number
 
 COLUMNS = 4  # panels side by side
-COLOURS = "cividis"  # as light as it is large, to every eye and in grey
+COLOURS = "cividis"  # lightness grows with the value, also for colour-blind readers and in grey
 
 
 def factor_map(dataset: xr.Dataset, path: str | Path) -> None:
@@ -37,12 +37,14 @@ def factor_map(dataset: xr.Dataset, path: str | Path) -> None:
         ax.imshow(rate, cmap=COLOURS, vmin=0, vmax=100, origin="lower", aspect="auto")
         for (row, column), value in np.ndenumerate(rate):
             _number(ax, column, row, value)
-        ax.set_xticks(range(rate.shape[1]), [write(x, v) for v in dataset[x].values], rotation=90)
-        ax.set_yticks(range(rate.shape[0]), [write(y, v) for v in dataset[y].values])
+        ax.set_xticks(
+            range(rate.shape[1]), [tick_text(x, v) for v in dataset[x].values], rotation=90
+        )
+        ax.set_yticks(range(rate.shape[0]), [tick_text(y, v) for v in dataset[y].values])
         if k % COLUMNS:
             ax.tick_params(labelleft=False)
-        ax.set_title(title(dataset, values), fontsize=8)
-    _name(figure, label(dataset, x), label(dataset, y))
+        ax.set_title(_wrapped(figure, title(dataset, values), len(panels)), fontsize=8)
+    _label_axes(figure, label(dataset, x), label(dataset, y))
     _finish(figure, axes, panels[0][1], path)
 
 
@@ -51,6 +53,10 @@ def position_map(dataset: xr.Dataset, path: str | Path) -> None:
 
     A dashed rectangle spans the demonstrated positions, if the dataset contains them: a study of a
     file of records does not.
+
+    Args:
+        dataset: a study.
+        path: where to save it; its suffix gives the format.
     """
     panels = list(cells(dataset, axes_of(dataset)))
     left, ahead = 100 * dataset.cube_y.values, 100 * dataset.cube_x.values
@@ -68,11 +74,11 @@ def position_map(dataset: xr.Dataset, path: str | Path) -> None:
         if "demonstrated_x" in dataset.coords:
             ax.add_patch(_demonstrated(dataset))
         ax.invert_xaxis()  # the robot's left is on the left
-        ax.set_title(title(dataset, values), fontsize=8)
+        ax.set_title(_wrapped(figure, title(dataset, values), len(panels)), fontsize=8)
     if "demonstrated_x" in dataset.coords:
         handles = axes[0].get_legend_handles_labels()
         figure.legend(*handles, loc="outside upper left", frameon=False)
-    _name(figure, "cube, to the left of the robot's start, cm", "cube, ahead, cm")
+    _label_axes(figure, "cube, to the left of the robot's start, cm", "cube, ahead, cm")
     _finish(figure, axes, dataset.isel(position=0), path)
 
 
@@ -94,11 +100,17 @@ def _panels(n: int, width: float, height: float) -> tuple[Figure, list[Axes]]:
     return figure, list(axes.flat[:n])
 
 
-def _name(figure: Figure, x: str, y: str):
+def _label_axes(figure: Figure, x: str, y: str):
     """Label both axes, in as many lines as needed."""
     width, height = figure.get_size_inches()
     figure.supxlabel(fill(x, int(14 * (width - 1.2))), fontsize=8)
     figure.supylabel(fill(y, int(14 * (height - 0.7))), fontsize=8)
+
+
+def _wrapped(figure: Figure, text: str, n: int) -> str:
+    """Return the title of one of n panels, in as many lines as the panel's width needs."""
+    width = (figure.get_size_inches()[0] - 1.2) / min(n, COLUMNS)
+    return fill(text, max(int(16 * width), 12), break_long_words=False)
 
 
 def _rate(runs: xr.Dataset, over=("position", "repeat")) -> xr.DataArray:

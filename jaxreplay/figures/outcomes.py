@@ -1,6 +1,7 @@
 """The paper's figure 3, and how factors are written in figures."""
 
 from pathlib import Path
+from textwrap import fill
 from typing import Any
 
 import matplotlib
@@ -15,11 +16,12 @@ from jaxreplay.study.dataset import OUTCOMES, axes_of, cells, is_number
 # From light to dark and hatched, so that they can be distinguished in grey.
 COLOURS = {"S": "#cfe8cf", "Fs": "#f2b872", "Fg": "#c0504d", "Fb": "#3b3b58"}
 HATCHES = {"S": "", "Fs": "//", "Fg": "..", "Fb": "xx"}
-MEANINGS = {"S": "success", "Fs": "over 3 minutes", "Fg": "no grasp", "Fb": "left the area"}
+MEANINGS = {"S": "success", "Fs": "time limit reached", "Fg": "no grasp", "Fb": "left the area"}
 SYMBOLS = {"theta_i": "$\\theta_I$", "theta_tau": "$\\theta_\\tau$"}
+# Moments τ are positions on a record.
 READINGS = {
-    "same_tau": "a jump keeps the moment τ (same_tau)",
-    "own_tau": "a jump lands where the record stands (own_tau)",
+    "same_tau": "same_tau: a jump keeps the moment τ (equation 6 as printed)",
+    "own_tau": "own_tau: each record keeps its own distribution over τ",
 }
 STYLES = (  # variable, label, marker, colour, its face, and how far beside the tick
     ("alignment_error", "alignment error, mm (●)", "o", "#1f4e79", "#1f4e79", -0.12),
@@ -30,8 +32,8 @@ STYLES = (  # variable, label, marker, colour, its face, and how far beside the 
 def figure_3(dataset: xr.Dataset, path: str | Path) -> None:
     """Draw figure 3 of the paper: outcomes, alignment error and duration along one axis.
 
-    The axis is θ_I if it has more than two values, else the numeric axis with most values, or any
-    if there is none. There is a row of panels for each combination of the others.
+    For the choice of that axis, axes of more than two values come first; among them θ_I, then
+    numeric axes, then the longest. There is a row of panels for each combination of the others.
 
     Args:
         dataset: a study.
@@ -59,7 +61,7 @@ def figure_3(dataset: xr.Dataset, path: str | Path) -> None:
         for row, (values, runs) in zip(rows, panels, strict=True):
             _outcomes(row[0], runs, along)
             _error_and_duration(row[1], runs, along, tops)
-            row[0].set_title(title(dataset, values), loc="left", fontsize=9)
+            row[0].set_title(fill(title(dataset, values), 66), loc="left", fontsize=9)
         for ax in rows[-1]:
             ax.set_xlabel(label(dataset, along))
         handles, labels = rows[0][0].get_legend_handles_labels()
@@ -80,7 +82,7 @@ def title(dataset: xr.Dataset, values: dict[str, Any]) -> str:
         READINGS[value]
         if name == "jump"
         else f"{SYMBOLS.get(name, dataset[name].attrs['symbol'])} "
-        f"{write(name, value)}{units(dataset, name)}"
+        f"{tick_text(name, value)}{units(dataset, name)}"
         for name, value in values.items()
     )
 
@@ -92,7 +94,7 @@ def label(dataset: xr.Dataset, axis: str) -> str:
     return f"{symbol}{dataset[axis].attrs['long_name']}{unit}"
 
 
-def write(axis: str, value: Any) -> str:
+def tick_text(axis: str, value: Any) -> str:
     """Return a factor's value as it is written at a tick."""
     if axis == "theta_i":
         return "0" if value == 0 else f"$10^{{{np.log10(value):.3g}}}$"
@@ -100,7 +102,7 @@ def write(axis: str, value: Any) -> str:
 
 
 def _axis(axes: Axes, runs: xr.Dataset, along: str):
-    texts = [write(along, value) for value in runs[along].values]
+    texts = [tick_text(along, value) for value in runs[along].values]
     steep = len(texts) > 8 or (max(map(len, texts)) > 8 and along != "theta_i")
     axes.set_xticks(range(len(texts)), texts, rotation=90 if steep else 0)
     axes.set_xlim(-0.6, len(texts) - 0.4)

@@ -10,7 +10,11 @@ from jaxreplay.study.dataset import OUTCOMES, STALLS, along, axes_of, cells
 
 
 def table(dataset: xr.Dataset) -> str:
-    """Return a table with a row for each cell of the study."""
+    """Return a table with a row for each cell of the study.
+
+    Args:
+        dataset: a study, as :func:`jaxreplay.open_study` returns it.
+    """
     dims = axes_of(dataset)
     columns = {}
     heads = {}
@@ -36,20 +40,22 @@ def table(dataset: xr.Dataset) -> str:
         lines.append(row)
     lines += [
         "",
-        "S, %: with Wilson's 95 % interval. fixed, cyclic, slow: the Fs. "
-        "±: standard error of the mean.",
+        "S: success; Fs: time limit reached (fixed, cyclic or slow); Fg: no grasp; Fb: left the "
+        "area.",
+        "S, %: with Wilson's 95 % interval. ±: standard error of the mean.",
         _audited(dataset),
     ]
     return "\n".join(lines)
 
 
 def _audited(dataset: xr.Dataset) -> str:
-    """Return a line on the accuracy that windows cost."""
+    """Return a line on how far windows changed the commands."""
     off = dataset.command_error.values
     off = off[np.isfinite(off)]
     return (
-        f"Audit: of {len(off)} filtered again without windows, commands were off by more than "
-        f"1e-3 of their range in {np.sum(off > 1e-3)}; at most by {np.max(off, initial=0):.1e}."
+        f"Audit: {len(off)} runs were filtered again with the complete belief; commands differed "
+        f"by more than 1e-3 of their range in {np.sum(off > 1e-3)} of them, at most by "
+        f"{np.max(off, initial=0):.1e}."
     )
 
 

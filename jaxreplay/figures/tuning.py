@@ -1,4 +1,4 @@
-"""The figure of a climb: how scores and parameters changed along it."""
+"""The figure of scores and parameters at each optimisation step."""
 
 from pathlib import Path
 from typing import Any
@@ -20,7 +20,7 @@ def tuning_figure(records: Records, tuned: Tuned, path: Path) -> None:
 
     Args:
         records: the records that the parameters were tuned on.
-        tuned: the result of the climb.
+        tuned: the result of tuning.
         path: of the figure; its suffix gives the format.
     """
     steps = np.arange(len(tuned.path.theta_i))
@@ -50,10 +50,10 @@ def tuning_figure(records: Records, tuned: Tuned, path: Path) -> None:
             ax.yaxis.set_minor_formatter(NullFormatter())
             ax.legend(loc="center left", bbox_to_anchor=(1, 0.5), frameon=False, fontsize=8)
         for ax in axes[1]:
-            ax.set_xlabel("step of the climb")
+            ax.set_xlabel("optimisation step")
         n = len(tuned.scores.steps)
         figure.suptitle(
-            f"{n} records, each left out in turn; {tuned.jump}, climbed by {tuned.score}; "
+            f"{n} records, each left out in turn; {tuned.jump}, selected by {tuned.score}; "
             "grey line: the parameters kept",
             fontsize=9,
         )

@@ -33,8 +33,10 @@ def track_speeds(
 ) -> np.ndarray:
     """Compute the speeds at which the tracks run, `[B, 2]` in m/s.
 
-    A track runs at a whole number of motor units: the nearest one or, with dithering (§ 3), the
-    one below or above the commanded number w,
+        speed = units · motor_unit · (1 + wheel_noise · noise)
+
+    `units` is a whole number: the one nearest to the commanded number of motor units w or, with
+    dithering (§ 3), the one below or above it,
 
         ⌊w⌋ + 1 with probability w − ⌊w⌋, else ⌊w⌋,
 
@@ -44,8 +46,9 @@ def track_speeds(
         params: the constants.
         settings: the settings of the worlds.
         command: `[B, 2]` commanded speeds of the left and right track, m/s.
-        chance: `[B, 2]` uniform in [0, 1).
-        noise: `[B, 2]` uniform in [−1, 1).
+        chance: `[B, 2]` random numbers that decide the rounding of dithering, uniform in [0, 1).
+        noise: `[B, 2]` relative errors of the speeds, as a share of the largest, `wheel_noise`;
+            uniform in [−1, 1).
     """
     unit = settings.motor_unit[:, None]
     # 1e-9: a top speed of a whole number of units stays so when the division rounds down.
@@ -123,7 +126,10 @@ def tilt_servo(params: PlaneParams) -> Servo:
 
 
 def lowest_elevation(params: PlaneParams, pose: Pose) -> np.ndarray:
-    """Return the lowest height that the head can reach, `[B]` in m: over the cube, its top."""
+    """Return the lowest height of the head's middle, `[B]` in m.
+
+    Above the cube it is higher, because there the head rests on the cube's top.
+    """
     ahead, left = in_frame(pose.robot, pose.cube[:, :2])
     turned = pose.cube[:, 2] - pose.robot[:, 2]
     extent = params.side / 2 * (np.abs(np.cos(turned)) + np.abs(np.sin(turned)))
@@ -137,8 +143,10 @@ def magnet_to_face(params: PlaneParams, pose: Pose) -> tuple[np.ndarray, np.ndar
     """Compute where the magnet is relative to the cube's face that is turned to it.
 
     Returns:
-        The gap to the face's plane (m, negative inside the cube), the lateral distance to the
-        face's centre (m, signed) and the angle between magnet and face (rad, signed), `[B]` each.
+        The gap to the face's plane (m, negative inside the cube); the lateral distance from the
+        face's centre (m, positive where the magnet is to its left as the robot looks at it); and
+        the angle from the face's normal to the robot's heading (rad, positive where the robot is
+        turned to the left), `[B]` each.
     """
     heading = pose.robot[:, 2]
     magnet = pose.robot[:, :2] + params.reach * np.stack([np.cos(heading), np.sin(heading)], 1)
@@ -161,8 +169,8 @@ def holding_force(
 
     Args:
         params: the constants.
-        lateral: `[B]` distance to the face's centre, m.
-        angle: `[B]` to the face, rad.
+        lateral: `[B]` distance to the face's centre, m; its sign does not matter.
+        angle: `[B]` to the face, rad; its sign does not matter.
     """
     covered = np.maximum(1 - np.abs(lateral) / params.magnet_offset, 0)
     return np.where(np.abs(angle) < params.magnet_angle, params.magnet_force * covered, 0.0)

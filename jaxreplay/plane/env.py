@@ -58,8 +58,8 @@ class PlaneVectorEnv(gymnasium.vector.VectorEnv):
     truncated, else empty.
 
     **Reset** restarts all worlds, or those marked in `options["reset_mask"]` (`[B]` bool). A
-    restarted world behaves as if it were new and the only one: all chance in it comes from its
-    own seed. Other options, each with one value per slot: `cube` `[B, 3]`, x, y (m) and angle
+    restarted world behaves as if it were new and the only one: all randomness in it comes from
+    its own seed. Other options, each with one value per slot: `cube` `[B, 3]`, x, y (m) and angle
     (rad); `motor_unit` (m/s), `dithering`, `battery` (share of the full voltage), `sensor_noise`
     (factor). Without `cube`, a cube is placed at random 25–40 cm ahead and up to 10 cm to either
     side, with a face turned to the robot.
@@ -80,7 +80,14 @@ class PlaneVectorEnv(gymnasium.vector.VectorEnv):
         params: PlaneParams | None = None,
         render_mode: str | None = None,
     ):
-        """Make B slots; `reset` puts worlds into them."""
+        """Create B slots; `reset` puts worlds into them.
+
+        Args:
+            num_envs: B, the number of slots.
+            params: the constants; the defaults of :class:`PlaneParams` if None.
+            render_mode: `"rgb_array"` or None, as Gymnasium asks for; `render` returns pictures
+                in either case.
+        """
         self.num_envs, self.render_mode = num_envs, render_mode
         self.params = params or PlaneParams()
         p, n = self.params, num_envs

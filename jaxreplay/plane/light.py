@@ -14,7 +14,7 @@ from jaxreplay.plane.env import PlaneVectorEnv
 from jaxreplay.plane.options import seeds_of
 
 NAME = "light"
-RANGE = 1.0  # highest less lowest value
+RANGE = 1.0  # highest minus lowest value
 
 
 def light_level(*seed: int) -> float:

@@ -1,4 +1,4 @@
-"""The options and seeds with which worlds are started, checked."""
+"""Checks of the options and seeds given to `reset`, and their conversion to arrays."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -50,8 +50,9 @@ def parse_options(
 ) -> tuple[np.ndarray, Settings]:
     """Return the cubes `[n, 3]` and the settings of n slots.
 
-    Cubes are NaN where the options do not place them; settings that the options do not contain
-    are those of `params`.
+    `reset_mask` is not among these options: the environment takes it out first. Cubes are NaN
+    where the options do not place them; settings that the options do not contain are those of
+    `params`.
 
     Raises:
         ValueError: an option is unknown, has the wrong shape or is out of range.
@@ -59,7 +60,7 @@ def parse_options(
     known = ["cube", *SETTINGS]
     for name in options:
         if name not in known:
-            raise ValueError(f"unknown option {suggest(name, known)}")
+            raise ValueError(f"unknown option {suggest(name, [*known, 'reset_mask'])}")
     cubes = np.asarray(options.get("cube", np.full((n, 3), np.nan)), float)
     if cubes.shape != (n, 3) or ("cube" in options and not np.isfinite(cubes).all()):
         raise ValueError(f"cube must be {n} finite x, y (m) and angle (rad); got {cubes}")

@@ -1,4 +1,6 @@
-"""Every constant of the plane, with its source. SI units, angles in radians.
+"""The constants of robot, cube, sensors and area, with their sources.
+
+SI units, angles in radians. Enki and ARGoS are robot simulators.
 
 The paper names the robot and its sensors but gives almost no number; what it leaves open is
 marked as an *assumption*. The robot starts at the origin, heading along +x; y is to its left.
@@ -9,7 +11,7 @@ from math import pi
 
 SENSOR_NAMES = ("camera", *(f"proximeter_{k}" for k in range(6)))
 COMMAND_NAMES = ("left_track", "right_track", "elevation", "tilt", "magnet")
-# Highest less lowest value of each sensor: the camera's go from −1 to 1, the proximeters' from 0.
+# Highest minus lowest value of each sensor: the camera's go from −1 to 1, the others from 0 to 1.
 SENSOR_RANGES = (2.0, *6 * (1.0,))
 
 GRAVITY = 9.81  # m/s²
@@ -30,7 +32,7 @@ class PlaneParams:
     # 0.4° of where they are with 160 steps, and the alignment of a grasp within 0.1 mm (medians):
     # experiments/benchmarks/substeps.py
     substeps: int = 5
-    time_limit: float = 180.0  # s; paper: a run of more than 3 minutes is a stall, Fs
+    time_limit: float = 180.0  # s; paper: 3 minutes; a longer run has outcome Fs
 
     # Robot: marXbot
     hull_radius: float = 0.085  # m; Enki, ARGoS
@@ -46,7 +48,7 @@ class PlaneParams:
     reach: float = 0.135  # m from the robot's centre to the magnet's face
     gripper_width: float = 0.064  # m
     head: float = 0.02  # m by which the head extends above and below its middle
-    low: float = 0.03  # m, height of the head's middle with the gripper down: that of the cube's
+    low: float = 0.03  # m, height of the head's middle, gripper down: as high as the cube's centre
     high: float = 0.12  # m, height of the head's middle with the gripper up
     scanning_tilt: float = pi / 2  # rad; the proximeters look ahead, the magnet down
     grasping_tilt: float = 0.2  # rad; below this the magnet counts as facing ahead
@@ -63,8 +65,10 @@ class PlaneParams:
     servo_restart: float = 0.05  # s for which a servo stands after its set point has changed
 
     # Magnet; all assumptions
-    magnet_gap: float = 0.003  # m, the largest gap to the cube's face that the magnet closes
-    magnet_angle: float = pi / 12  # rad, the largest angle to that face
+    # m, the largest gap to the cube's face that the magnet closes; also the slip that ends a hold
+    magnet_gap: float = 0.003
+    # rad, the largest angle to that face; also the turn that ends a hold
+    magnet_angle: float = pi / 12
     magnet_offset: float = 0.02  # m from the face's centre, sideways, at which the hold is 0
     magnet_force: float = 0.5  # N, on a centred face
     magnet_radius: float = 0.01  # m, lever of the hold against tipping and turning

@@ -150,7 +150,12 @@ def ray_to_square(
 
 
 def in_frame(frame: np.ndarray, point: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return how far points `[B, 2]` are ahead and to the left in frames `[B, 3]`, `[B]` each."""
+    """Return how far points are ahead and to the left in frames, `[B]` each in m.
+
+    Args:
+        frame: `[B, 3]` x, y (m) and angle (rad).
+        point: `[B, 2]` x and y, m.
+    """
     dx, dy = (point - frame[:, :2]).T
     cos, sin = np.cos(frame[:, 2]), np.sin(frame[:, 2])
     return cos * dx + sin * dy, cos * dy - sin * dx

@@ -10,12 +10,15 @@ from jaxreplay.plane.params import PlaneParams
 
 
 class PlaneEnv(gymnasium.Env):
-    """One robot with a cube to fetch: a :class:`PlaneVectorEnv` of one world, without axis B."""
+    """One robot with a cube to fetch: a :class:`PlaneVectorEnv` of one world, without axis B.
+
+    Before the first grasp its info has no `alignment_error`, instead of NaN.
+    """
 
     metadata = METADATA
 
     def __init__(self, params: PlaneParams | None = None, render_mode: str | None = None):
-        """Make a slot; `reset` puts a world into it."""
+        """Create the environment; call `reset` before `step`."""
         self._worlds = PlaneVectorEnv(1, params, render_mode)
         self.render_mode = render_mode
         self.observation_space = self._worlds.single_observation_space
@@ -27,7 +30,7 @@ class PlaneEnv(gymnasium.Env):
         """Restart the world and return its observation `[7]` and info.
 
         Args:
-            seed: of all chance in the world; drawn if it is None.
+            seed: of all randomness in the world; drawn if it is None.
             options: those of :meth:`PlaneVectorEnv.reset`, each a single value.
 
         Raises:

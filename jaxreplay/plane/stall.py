@@ -1,4 +1,8 @@
-"""Classification of the runs that do not end (§ 3: "fixed or cyclic")."""
+"""Classification of the runs that reach the time limit: fixed, cyclic or slow.
+
+In § 3, "fixed or cyclic" is said of the distribution over I, τ. Here it is the robot's pose that is
+examined, so that runs can be classified without their beliefs.
+"""
 
 from typing import Literal
 
@@ -13,13 +17,17 @@ _CLOSED = 0.25  # a cycle returns to within this share of its size
 
 
 def stall(trail: np.ndarray, period: float) -> Literal["fixed", "cyclic", "slow"]:
-    """Return the kind of stall, from the poses of base and gripper in the last 60 s of a run.
+    """Return how a run that reached the time limit ended, from its last 60 s of poses.
 
-    - fixed: no coordinate moves by more than one unit, 5 mm or 2°.
-    - cyclic: there is a lag between 1 and 30 s after which the pose recurs, at all times of the
-      trail's second half: each coordinate comes back to within a quarter of the largest motion
-      of any coordinate during the last lag (in units), and to within a quarter of its own
-      motion or one unit, whichever is more.
+    Coordinates x_k are in units of 5 mm and 2°.
+
+    - fixed: no coordinate moves by as much as one unit: max x_k − min x_k < 1 for every k.
+    - cyclic: for some lag between 1 and 30 s the pose recurs,
+
+        max_k d_k < ¼ max_k s_k, and d_k < max(¼ s_k, 1) for every k,
+
+      where d_k is the largest |x_k(t) − x_k(t − lag)| over the trail's second half (headings
+      modulo a whole turn), and s_k is max x_k − min x_k during the last lag.
     - slow: otherwise.
 
     Args:

@@ -20,10 +20,10 @@ Teacher = Generator[np.ndarray, np.ndarray, None]  # yields commands, is sent ob
 
 
 def teacher(params: PlaneParams, rng: np.random.Generator) -> Teacher:
-    """Yield commands `[5]` (m/s, m/s, m, rad, on above 0.5); each is answered with `send`.
+    """Yield commands `[5]`; the caller sends the observation `[7]` made after each.
 
-    The value sent is the observation `[7]` made after the command. Speeds within are whole
-    numbers of motor units, so that nothing is lost in rounding.
+    A command is the speeds of the left and right track (m/s), elevation (m), tilt (rad) and magnet
+    (on above 0.5). The speeds are whole numbers of motor units, so the robot does not round them.
 
     Args:
         params: the constants.
@@ -133,11 +133,11 @@ def demonstrate(params: PlaneParams, positions: np.ndarray, seed: int) -> Demons
     Args:
         params: the constants.
         positions: `[N, 2]` of the cube, m.
-        seed: of all chance in teacher and plane. A demonstration follows from the seed, its
+        seed: of all randomness in teacher and plane. A demonstration follows from the seed, its
             position and its index; it does not depend on the others.
 
     Raises:
-        RuntimeError: a demonstration failed, or did not end within the time limit.
+        RuntimeError: a demonstration ended without the cube lifted.
     """
     n = len(positions)
     worlds = PlaneVectorEnv(n, params)

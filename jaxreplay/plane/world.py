@@ -23,20 +23,15 @@ class World:
 
     Attributes:
         robot: the robot's body; `robot.position` in m, `robot.angle` in rad.
-        cube: the cube's body.
-        tracks: a kinematic body that moves as the tracks run.
-        gripper: the gripper's shape.
-        magnet: the two joints that hold the cube.
-        floor: the joints that resist the cube's sliding.
-        space: pymunk's space.
+        cube: the cube's body, likewise.
     """
 
     def __init__(self, params: PlaneParams, cube: np.ndarray | tuple[float, float, float]):
         """Put the robot at the origin and the cube at `[3]` x, y (m) and angle (rad)."""
-        self.reach, self.side = params.reach, params.side
-        self.period = params.control_period
-        self.substeps = params.substeps
-        self.space = space = pymunk.Space()
+        self._reach, self._side = params.reach, params.side
+        self._period = params.control_period
+        self._substeps = params.substeps
+        self._space = space = pymunk.Space()
         # m. pymunk's default, 0.1, is wider than the cube. Of 0.02–0.5 mm this is the most
         # accurate at 5 substeps.
         space.collision_slop = 0.0002
@@ -45,22 +40,24 @@ class World:
         hull = pymunk.Circle(self.robot, params.hull_radius)
         half = params.gripper_width / 2
         corners = [(x, y) for x in (0.0, params.reach) for y in (-half, half)]
-        self.gripper = pymunk.Poly(self.robot, corners)
+        self._gripper = pymunk.Poly(self.robot, corners)
 
         side, mass = params.side, params.cube_mass
         self.cube = pymunk.Body(mass, pymunk.moment_for_box(mass, (side, side)))
         self.cube.position, self.cube.angle = (float(cube[0]), float(cube[1])), float(cube[2])
         box = pymunk.Poly.create_box(self.cube, (side, side))
-        for shape in (hull, self.gripper, box):
-            shape.friction = params.contact_friction**0.5  # a contact's is the product of two
+        for shape in (hull, self._gripper, box):
+            # pymunk multiplies the friction of the two shapes.
+            shape.friction = params.contact_friction**0.5
 
-        # The robot matches the velocity of `tracks`, as far as traction allows.
-        self.tracks = pymunk.Body(body_type=pymunk.Body.KINEMATIC)
+        # `_tracks` moves as the tracks run. The robot matches its velocity, as far as traction
+        # allows.
+        self._tracks = pymunk.Body(body_type=pymunk.Body.KINEMATIC)
         grip = params.traction * params.mass * GRAVITY
         drive = (
-            _resist(PivotJoint(self.tracks, self.robot, (0, 0), (0, 0)), grip),
+            _resist(PivotJoint(self._tracks, self.robot, (0, 0), (0, 0)), grip),
             _resist(
-                GearJoint(self.tracks, self.robot, 0.0, 1.0),
+                GearJoint(self._tracks, self.robot, 0.0, 1.0),
                 grip * params.track_separation / 2,
             ),
         )
@@ -70,55 +67,56 @@ class World:
         # cube's sides and for turning. In oblique directions it is some 5 % too low, because the
         # points pull against each other.
         lever = _MEAN_LEVER * side
-        self.rub = params.floor_friction * params.cube_mass * GRAVITY / 4
-        self.floor = [
-            _resist(PivotJoint(space.static_body, self.cube, (0, 0), (x, y)), self.rub)
+        per_point = params.floor_friction * params.cube_mass * GRAVITY / 4  # N
+        self._friction_per_point = per_point
+        self._floor = [
+            _resist(PivotJoint(space.static_body, self.cube, (0, 0), (x, y)), per_point)
             for x, y in ((lever, 0), (0, lever), (-lever, 0), (0, -lever))
         ]
 
         # The magnet's joints exist from the start, without force: none is added during a run.
-        self.magnet = (
-            PivotJoint(self.robot, self.cube, (self.reach, 0), (0, 0)),
+        self._magnet = (
+            PivotJoint(self.robot, self.cube, (self._reach, 0), (0, 0)),
             GearJoint(self.robot, self.cube, 0.0, 1.0),
         )
-        for joint in self.magnet:
-            joint.error_bias = 0.1**60  # stiff: a share of the error is left after 1/60 s
+        for joint in self._magnet:
+            joint.error_bias = 0.1**60  # stiff: a tenth of the error is left after 1/60 s
         self.release()
-        space.add(self.robot, hull, self.gripper, self.cube, box, self.tracks)
-        space.add(*drive, *self.floor, *self.magnet)
+        space.add(self.robot, hull, self._gripper, self.cube, box, self._tracks)
+        space.add(*drive, *self._floor, *self._magnet)
 
     def advance(self, forward: float, turn: float) -> tuple[float, ...]:
         """Simulate one control step.
 
         Args:
-            forward: speed of the tracks' mean, m/s.
+            forward: mean speed of the two tracks, m/s.
             turn: rate at which the tracks turn the robot to the left, rad/s.
 
         Returns:
             x, y (m) and angle (rad) of the robot, then of the cube.
         """
-        robot, cube, tracks = self.robot, self.cube, self.tracks
-        heading = robot.angle + turn * self.period / 2  # the mean during the step
+        robot, cube, tracks = self.robot, self.cube, self._tracks
+        heading = robot.angle + turn * self._period / 2  # the mean during the step
         tracks.velocity = forward * math.cos(heading), forward * math.sin(heading)
         tracks.angular_velocity = turn
-        for _ in range(self.substeps):
-            self.space.step(self.period / self.substeps)
+        for _ in range(self._substeps):
+            self._space.step(self._period / self._substeps)
         return *robot.position, robot.angle, *cube.position, cube.angle
 
     def set_gripper_above(self, above: bool) -> None:
         """Let the gripper pass over the cube if it is above it; else let the two collide."""
-        self.gripper.filter = _PASSES if above else _COLLIDES
+        self._gripper.filter = _PASSES if above else _COLLIDES
 
     def set_cube_off_floor(self, off_floor: bool) -> None:
         """Switch the floor's friction off while the cube is off the floor, else on."""
-        for joint in self.floor:
-            joint.max_force = 0.0 if off_floor else self.rub
+        for joint in self._floor:
+            joint.max_force = 0.0 if off_floor else self._friction_per_point
 
     def attach(self, force: float, torque: float) -> None:
         """Hold the cube's face flush with the magnet, up to a force (N) and a torque (N m)."""
-        pivot, gear = self.magnet
-        x, y = self.cube.world_to_local(self.robot.local_to_world((self.reach, 0.0)))
-        half = self.side / 2
+        pivot, gear = self._magnet
+        x, y = self.cube.world_to_local(self.robot.local_to_world((self._reach, 0.0)))
+        half = self._side / 2
         across = abs(x) > abs(y)  # the face's normal is the cube's x
         pivot.anchor_b = (np.copysign(half, x), y) if across else (x, np.copysign(half, y))
         turned = self.cube.angle - self.robot.angle
@@ -127,7 +125,7 @@ class World:
 
     def release(self) -> None:
         """Stop holding the cube."""
-        for joint in self.magnet:
+        for joint in self._magnet:
             joint.max_force = 0.0
 
 

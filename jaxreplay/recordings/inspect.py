@@ -15,7 +15,8 @@ from jaxreplay.records import Records
 FEW = 3  # records; a median over fewer says nothing of what is usual
 # A length is unusual if it is off the median by more than 4 standard deviations, as one in 16,000
 # normally distributed lengths is, and by more than a quarter of the median: among records of almost
-# equal lengths the standard deviation is near 0, and any other length many of it away.
+# equal lengths the standard deviation is near 0, so any other length would be many standard
+# deviations away.
 LENGTH_DEVIATIONS, LENGTH_SHARE = 4, 0.25
 NORMAL = 1.4826  # a normal distribution's standard deviation in median absolute deviations
 # A jump is a step of more than 4 times the median over records of their largest step. A sensor
@@ -23,8 +24,9 @@ NORMAL = 1.4826  # a normal distribution's standard deviation in median absolute
 # median, the proximeters by up to 1.2 (20 demonstrations with each of the seeds 0 to 5).
 JUMP = 4
 # A spike is a step that is taken back within 2 rows, and more than 5 times the median over records
-# of their fifth largest step, which no single event in a record makes. Nothing that comes into
-# range leaves it so soon: on the plane the largest step taken back is 1.7 times that median.
+# of their fifth-largest step (the fifth largest, because one event in a record makes fewer than
+# five large steps). Nothing that comes into range leaves it so soon: on the plane the largest step
+# taken back is 1.7 times that median.
 SPIKE, SPIKE_ROWS, OFTEN = 5, 2, 5
 # A sensor is stuck if it keeps one value for more than 3 times the median over records of their
 # longest rest, and for more than 20 rows. A sensor rests while it sees nothing, and while the robot
@@ -142,7 +144,7 @@ def _column(rows: list[np.ndarray], k: int, name: str, kind: str) -> Column:
 
 
 def _short(rows: list[np.ndarray]) -> Iterator[Finding]:
-    """Find records of fewer rows than the end of a record has."""
+    """Find records shorter than the last 10 rows that § 2.2.5 tests."""
     short = {i: rows_in_words(len(r)) for i, r in enumerate(rows) if len(r) < LAST_STEPS}
     if short:
         yield Finding(
@@ -211,10 +213,10 @@ def _still(rows: list[np.ndarray], k: int, column: Column) -> Iterator[Finding]:
             column=k,
         )
     elif still and len(still) <= moving / 2:
-        cause = {"sensor": "dead", "command": "not recorded"}
+        cause = {"sensor": "is the sensor dead", "command": "was the command not recorded"}
         yield Finding(
             f"{column.kind} {column.name} never changes in {_listed(still)}, but does in {moving} "
-            f"others: {cause[column.kind]}? then leave out",
+            f"others: {cause[column.kind]}? then leave these records out",
             tuple(still),
             k,
         )
@@ -240,10 +242,13 @@ def _leaps(rows: list[np.ndarray], k: int, column: Column) -> Iterator[Finding]:
         jump = (np.abs(d) > JUMP * largest) & ~part & (len(moving) >= FEW)
         for found, where in ((spikes, spiky), (jumps, jump)):
             found.update({(i, int(t) + 1): abs(d[t]) for t in np.flatnonzero(where)})
-    slip = "a slip, a gap, or an angle that wraps? mend, cut there or leave out"
-    for found, verb, usual, remedy in (
-        (spikes, "has a spike of", often, "a glitch? smooth it out in the recording"),
-        (jumps, "jumps by", largest, slip),
+    jumped = (
+        "an error, a gap in the recording, or an angle that wraps? correct it, cut there, or leave "
+        "the record out"
+    )
+    for found, verb, usual, rank, remedy in (
+        (spikes, "has a spike of", often, "fifth-largest", "a glitch? smooth it in the recording"),
+        (jumps, "jumps by", largest, "largest", jumped),
     ):
         if found:
             i, t = at = max(found, key=found.__getitem__)
@@ -252,7 +257,7 @@ def _leaps(rows: list[np.ndarray], k: int, column: Column) -> Iterator[Finding]:
             more = f" ({others} more; {_listed(dict.fromkeys(which, ''))})" if others else ""
             yield Finding(
                 f"sensor {column.name} {verb} {found[at]:.3g} at record {i}, row {t}{more}, "
-                f"{found[at] / usual:.2g} times a usual large step: {remedy}",
+                f"{found[at] / usual:.2g} times the median record's {rank} step: {remedy}",
                 tuple(which),
                 k,
                 at,
@@ -279,7 +284,11 @@ def _stuck(rows: list[np.ndarray], k: int, column: Column) -> Iterator[Finding]:
         n, t = stuck[i]
         others = dict.fromkeys(set(stuck) - {i}, "")
         more = f" (also in {_listed(others)})" if others else ""
-        usually = "" if usual is None else f"; the median of the longest rests is {usual:g}"
+        usually = (
+            ""
+            if usual is None
+            else f"; other records keep one value for {usual:g} rows at most (median)"
+        )
         yield Finding(
             f"sensor {column.name} stays at {rows[i][t, k]:.6g} for {n} rows from record {i}, row "
             f"{t}{more}{usually}: stuck? cut there or leave out",

@@ -6,15 +6,13 @@ from jaxreplay.recordings.inspect import Inspection, rows_in_words
 
 
 def report(inspection: Inspection) -> str:
-    """Return an inspection as text: lengths, a table of the columns, and the findings.
-
-    Records and rows are counted from 0.
-    """
+    """Return an inspection as text: lengths, a table of the columns, and the findings."""
     lengths, period, columns, findings = inspection
     known = "period unknown" if period is None else f"a row every {period:g} s"
     n = len(lengths)
     lines = [
         f"{n} record{'s' * (n > 1)}, {known}; {rows_in_words(lengths.sum(), period)} in all",
+        "records and rows are counted from 0",
         f"shortest: record {np.argmin(lengths)}, {rows_in_words(lengths.min(), period)}; "
         f"median: {rows_in_words(float(np.median(lengths)), period)}; "
         f"longest: record {np.argmax(lengths)}, {rows_in_words(lengths.max(), period)}",
@@ -23,7 +21,7 @@ def report(inspection: Inspection) -> str:
     for kind in ("sensor", "command"):
         lines += [
             "",
-            f"{kind:<{width}}{'lowest':>13}{'median':>13}{'highest':>13}{'usual step':>12}"
+            f"{kind:<{width}}{'lowest':>13}{'median':>13}{'highest':>13}{'median step':>12}"
             f"{'largest':>10}  {'at record, row':<16}{'unchanged':>9}",
         ]
         for c in columns:

@@ -1,9 +1,10 @@
 """Scores of parameters from records alone: filter each record's observations with the others.
 
 Parameters are good if the other records predict the left-out record's commands (the error of the
-predicted command) and its observations (the log evidence). Evidence is the filter's own measure,
-but where a sensor repeats values exactly it has no maximum: as σ goes to 0, the density of a
-repeated value grows without bound, however badly commands are predicted.
+predicted command) and its observations (the log evidence). The evidence is the probability density
+that the model assigns to the observations. It has no maximum where a sensor repeats values exactly:
+as σ goes to 0, the density of a repeated value grows without bound, however badly commands are
+predicted.
 """
 
 from collections.abc import Callable, Sequence
@@ -27,7 +28,7 @@ class Scores(NamedTuple):
     Attributes:
         log_evidence: `[P]` log p(Z_1:T) of all left-out records, per time step.
         command_error: `[P]` root mean square, over all time steps and commands, of the predicted
-            command less the recorded one, as a share of the command's range in the records.
+            command minus the recorded one, as a share of the command's range in the records.
             Commands that never change do not count.
         log_evidence_each: `[P, H]` the log evidence per time step of each left-out record.
         command_error_each: `[P, H]` the command error of each left-out record.
@@ -44,8 +45,8 @@ class Scores(NamedTuple):
 def leave_out(records: Records, i: int) -> Records:
     """Return the records without the i-th.
 
-    Offset and padding stay those of all records. So the result has the same shapes for every i,
-    and one compiled program serves all.
+    The sensors' offset and the padding remain those of all records. So the result has the same
+    shapes for every i, and the filter is compiled only once.
 
     Raises:
         ValueError: there is no record i, or it is the only one.
@@ -121,10 +122,12 @@ def default_params(records: Records) -> Params:
 
 
 def command_scale(records: Records) -> np.ndarray:
-    """Return factors `[n_u]` by which errors of commands are multiplied.
+    """Return the factors `[n_u]` by which errors of commands are multiplied.
 
-    The sum of the squares of the scaled errors is the mean square over those commands that change
-    at all, each as a share of its range in the records. It is 0 for a command that never changes.
+        scale_k = 1 / (range_k √m) for the m commands that change, 0 for the others
+
+    So the sum of the squared scaled errors is the mean square error of the m commands, each as a
+    share of its range in the records.
     """
     span = np.ptp(np.concatenate(records.sequences()[1]), axis=0)
     changes = span > 0

@@ -11,22 +11,22 @@ import numpy as np
 from jaxreplay.filter.belief import Jump
 from jaxreplay.machine import write_whole
 from jaxreplay.params import Params
-from jaxreplay.recordings.climb import SIGMA_BOUNDS, Score, climb
+from jaxreplay.recordings.optimise import SIGMA_BOUNDS, Score, optimise
 from jaxreplay.recordings.scores import Scores, leave_one_out, sensor_span
 from jaxreplay.records import Records
 
-CHECKPOINTS = 16  # parameters along the climb that are scored on all records
+CHECKPOINTS = 16  # sets of parameters along the path that are scored on all records
 
 
 class Tuned(NamedTuple):
-    """The result of a climb of K steps.
+    """The result of K optimisation steps.
 
     Attributes:
         path: `[K + 1]`-batched parameters: at the start, and after each step.
         checkpoints: `[M]` the steps after which parameters were scored, ascending from 0.
         scores: of the M sets of parameters at the checkpoints.
         jump: the reading of a jump.
-        score: the score that was climbed, one of `SCORES`.
+        score: the score that was optimised, one of `SCORES`.
     """
 
     path: Params
@@ -37,7 +37,7 @@ class Tuned(NamedTuple):
 
     @property
     def best(self) -> int:
-        """Index of the checkpoint with the best of the climbed score: the parameters to use."""
+        """Index of the checkpoint with the best value of the optimised score."""
         if self.score == "commands":
             return int(np.argmin(self.scores.command_error))
         return int(np.argmax(self.scores.log_evidence))
@@ -55,25 +55,25 @@ def tune(
     steps: int,
     progress: Callable[[str, int, int], None] = lambda what, done, total: None,
 ) -> Tuned:
-    """Climb a score, and score parameters along the path with each record left out in turn.
+    """Optimise a score, and score parameters along the path with each record left out in turn.
 
-    A step of the climb sees a few left-out records; the scores at the checkpoints are of all.
+    An optimisation step uses a few left-out records; the scores at the checkpoints are of all.
 
     Args:
         records: N ≥ 2 records.
         start: one set of parameters.
         jump: the reading of a jump, `"same_tau"` or `"own_tau"`.
-        score: the score to climb, one of `SCORES`.
-        steps: the number of steps of the climb.
+        score: the score to optimise, one of `SCORES`.
+        steps: the number of optimisation steps.
         progress: called with the name of the stage, how much of it is done, and its total.
 
     Raises:
         ValueError: fewer than 2 records, or no command to predict.
     """
     path = []
-    for params in climb(records, start, jump, score, steps):
+    for params in optimise(records, start, jump, score, steps):
         path.append(params)
-        progress("climbing", len(path) - 1, steps)
+        progress("optimising", len(path) - 1, steps)
     path = jax.tree.map(lambda *each: np.stack(each), *path)
     checkpoints = np.unique(np.linspace(0, steps, CHECKPOINTS).round().astype(int))
     params = jax.tree.map(lambda x: x[checkpoints], path)
@@ -116,7 +116,7 @@ def save(records: Records, tuned: Tuned, source: Path, path: Path) -> None:
 
     Args:
         records: the records.
-        tuned: the result of the climb.
+        tuned: the result of `tune`.
         source: file of the records, named in a comment.
         path: of the TOML file.
     """

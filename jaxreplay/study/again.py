@@ -28,7 +28,8 @@ def run_again(config: StudyConfig, records: Records, k: int) -> Trace:
         k: the run's index, counted along the dataset's dimensions.
 
     Returns:
-        The run. On a processor of the same kind it is the same as in the study, bit for bit.
+        The run. With the same records, results format and kind of processor it is identical to
+        the study's run, bit for bit.
     """
     one = runs_of(config).of(np.array([k]))
     params, (seed,), options = settings_of(config, one)
@@ -69,7 +70,10 @@ def trace_of(
 
 
 def beliefs(records: Records, params: Params, jump: Jump, observations: np.ndarray) -> np.ndarray:
-    """Return p(I, τ | Z_1:t) of every step of a replay, `[T, N, L]`, with all moments stored."""
+    """Return p(I, τ | Z_1:t) of every step of a replay, `[T, N, L]`.
+
+    All moments τ (positions on a record) are stored, without a window.
+    """
     filter, centred = build_filter(jump), records.centred()
 
     def step(belief, z):

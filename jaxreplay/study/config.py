@@ -20,7 +20,7 @@ class StudyConfig:
     """A study: every combination of its axes × test positions × repeats.
 
     Attributes:
-        axes: for each factor that varies its values, in the file's order.
+        axes: the values of each factor that varies, in the file's order.
         fixed: the value of every other factor.
         zip: groups of axes that move together.
         positions: of the cube in the test runs, (x, y) in m from the robot's start.
@@ -41,7 +41,10 @@ class StudyConfig:
 
     @property
     def dims(self) -> dict[str, tuple[str, ...]]:
-        """The dimensions of the axes: the factors along each, which is named for the first."""
+        """The dataset's dimensions, each with the factors that vary along it.
+
+        A dimension is named for the first of them.
+        """
         group_of = {name: group for group in self.zip for name in group}
         groups = [group_of.get(name, (name,)) for name in self.axes]
         return {group[0]: group for group in groups}
@@ -75,6 +78,9 @@ def load_config(path: str | Path, changes: Sequence[str] = ()) -> StudyConfig:
 def tuned_changes(path: str | Path) -> list[str]:
     """Return the parameters that `jaxreplay tune` saved, as changes for :func:`load_config`.
 
+    σ is converted from the sensor's unit to a share of the sensor's range. The reading of a jump
+    for which the parameters were tuned is not adopted: the study's file gives its own.
+
     Raises:
         ConfigError: the file is missing or not TOML, or does not contain such parameters, or
             those of other sensors than the plane's.
@@ -88,7 +94,8 @@ def tuned_changes(path: str | Path) -> list[str]:
         )
     if sorted(sigma) != sorted(SENSOR_NAMES):
         raise ConfigError(
-            f"{path}: its sensors are {', '.join(sigma)}; the plane has {', '.join(SENSOR_NAMES)}"
+            f"{path}: its sensors are {', '.join(sigma)}; the simulated robot has "
+            f"{', '.join(SENSOR_NAMES)}"
         )
     values = {name: given[name] for name in ("theta_i", "theta_tau")}
     read = parse.number(0, float("inf"))
@@ -135,7 +142,7 @@ def _change(given: dict, change: str) -> None:
 
 
 def _checked(given: dict) -> StudyConfig:
-    """Return the study that a description means."""
+    """Return the study that a parsed TOML file describes, after checking every key and value."""
     axis = given.pop("axis", {})
     if not isinstance(axis, dict):
         raise ValueError(f"axis must be a table, [axis]; got {axis!r}")

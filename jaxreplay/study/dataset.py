@@ -22,9 +22,19 @@ VARIABLES: dict[str, dict[str, str]] = {
     "duration": {"units": "s", "long_name": "run duration"},
     "log_evidence": {"units": "1", "long_name": "log p(Z_1:t) of the run"},
     "widened": {"units": "1", "long_name": "steps computed again in a wider window"},
-    "dropped": {"units": "bit", "long_name": "log2 p of the most probable dropped state"},
-    "total_variation": {"units": "1", "long_name": "largest error of the belief by windows"},
-    "command_error": {"units": "1", "long_name": "largest error of a command, share of its range"},
+    "dropped": {
+        "units": "bit",
+        "long_name": "log2 of the largest probability that a window discarded",
+    },
+    "total_variation": {
+        "units": "1",
+        "long_name": "largest total variation distance between windowed and complete belief",
+    },
+    "command_error": {
+        "units": "1",
+        "long_name": "largest difference of a command, windowed and complete, as a share of its "
+        "range",
+    },
 }
 TEXT = {"outcome": "<U2", "stall": "<U6"}  # variables that are words, and their type
 

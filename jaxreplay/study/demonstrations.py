@@ -22,7 +22,7 @@ def record(params: PlaneParams, positions: np.ndarray, seed: int) -> Records:
     """Return the teacher's demonstrations, with the cube at each position `[N, 2]` in m.
 
     Raises:
-        RuntimeError: a demonstration failed.
+        RuntimeError: a demonstration ended without the cube lifted.
     """
     made = demonstrate(params, positions, seed)
     return Records.from_sequences(
@@ -31,17 +31,26 @@ def record(params: PlaneParams, positions: np.ndarray, seed: int) -> Records:
 
 
 def demonstrations(config: StudyConfig, folder: Path) -> Records:
-    """Return the records to replay: the config's file, or those in the folder, made if absent.
+    """Return the records in the config's file; without one, the study's own.
+
+    The study's own are made by the teacher and saved in `folder`, if they are not there yet.
 
     Raises:
-        ConfigError: the file does not contain records of the plane's sensors and commands, or
-            fewer records than the study replays.
+        ConfigError: the config's file is missing, does not contain records of the plane's sensors
+            and commands at its control period, or contains fewer than the study replays; or a
+            demonstration by the teacher failed.
     """
     plane = PlaneParams()
-    # The name follows from all that made them, so that no others are taken for them.
+    # The file name contains a hash of all that determines the demonstrations, so that a file made
+    # with other settings is not reused.
     made_by = json.dumps([RESULTS_FORMAT, config.seed, DEMONSTRATED.tolist(), asdict(plane)])
     own = folder / f"demonstrations_{hashlib.sha256(made_by.encode()).hexdigest()[:12]}.npz"
     path = config.demonstrations or own
+    if config.demonstrations and not path.is_file():
+        raise ConfigError(
+            f"{path}: there is no such file of demonstrations; put it back, or start in the folder "
+            "in which the study was run"
+        )
     if not path.exists():
         folder.mkdir(parents=True, exist_ok=True)
         try:
@@ -66,8 +75,8 @@ def _check(records: Records, path: Path, plane: PlaneParams) -> None:
     ):
         if names != wanted:
             raise ConfigError(
-                f"{path}: its {what} are {', '.join(names)}; the plane has {', '.join(wanted)}, "
-                "and can replay no others"
+                f"{path}: its {what} are {', '.join(names)}; the simulated robot has "
+                f"{', '.join(wanted)}, and can replay no others"
             )
     if records.period not in (None, plane.control_period):
         raise ConfigError(

@@ -18,9 +18,9 @@ class AddedSensor(NamedTuple):
 
     Attributes:
         name: of the sensor.
-        range: its highest value less its lowest, by which σ is multiplied.
-        level: a seed to the value that the sensor has throughout a demonstration.
-        worlds: worlds to the same worlds with the sensor.
+        range: its highest value minus its lowest, by which σ is multiplied.
+        level: maps a seed to the sensor's value, which is constant in a demonstration.
+        worlds: wraps an environment so that it has the sensor.
     """
 
     name: str
@@ -33,16 +33,16 @@ class Factor(NamedTuple):
     """Something a study can vary.
 
     Attributes:
-        default: where the study gives no value; `REQUIRED` if it must. None: the default depends
-            on other factors (a sensor's σ on `sigma`), or changes nothing (`records`, `light`).
+        default: value where the study gives none; `REQUIRED`: the study must give one. None: the
+            default depends on other factors (a sensor's σ on `sigma`), or changes nothing
+            (`records`, `light`).
         read: reads a value in a study's file (see `parse`).
         symbol: the name in tables and figures.
         units: of a number; empty for words and switches.
         long_name: in words.
         sensor: the sensor it adds where its value is true.
-        choose: a value, the number of records, the study's seed and a run's repeat to the
-            indices of the records to replay.
-        together: a value and a repeat to a key; runs with equal keys can be replayed in one
+        choose: maps (value, number of records, study seed, repeat) to the records' indices.
+        batch_key: maps (value, repeat) to a key; runs with equal keys can be replayed in one
             batch. None: runs with any values can.
     """
 
@@ -53,7 +53,7 @@ class Factor(NamedTuple):
     long_name: str
     sensor: AddedSensor | None = None
     choose: Callable[[Any, int, int, int], list[int]] | None = None
-    together: Callable[[Any, int], Hashable] | None = None
+    batch_key: Callable[[Any, int], Hashable] | None = None
 
 
 REQUIRED = object()
@@ -121,7 +121,7 @@ FACTORS: dict[str, Factor] = {
         "jump",
         "",
         "reading of a jump",
-        together=lambda value, repeat: value,
+        batch_key=lambda value, repeat: value,
     ),
     "records": Factor(
         None,
@@ -130,7 +130,7 @@ FACTORS: dict[str, Factor] = {
         "",
         "which of the demonstrations",
         choose=choose_records,
-        together=_drawn_anew,
+        batch_key=_drawn_anew,
     ),
     "light": Factor(
         None,
@@ -139,7 +139,7 @@ FACTORS: dict[str, Factor] = {
         "",
         "one more sensor, of the room's light",
         sensor=AddedSensor(light.NAME, light.RANGE, light.light_level, light.Lit),
-        together=lambda value, repeat: bool(value),
+        batch_key=lambda value, repeat: bool(value),
     ),
     "dithering": Factor(
         _PLANE.dithering, one_of(False, True), "dithering", "", "temporal dithering of the tracks"
@@ -149,7 +149,7 @@ FACTORS: dict[str, Factor] = {
         number(*SETTINGS["motor_unit"]),
         "motor unit",
         "m/s",
-        "what track speeds round to",
+        "resolution of the track speeds",
     ),
     "battery": Factor(
         _PLANE.battery,

@@ -18,14 +18,16 @@ from jaxreplay.study.store import read_manifest, read_shard
 def open_study(folder: str | Path) -> xr.Dataset:
     """Read the dataset of a study into memory, as far as the study is done.
 
+    The filter stores each belief in a window of consecutive moments τ (positions on a record).
+
     Returns:
         Variables `outcome` (S, Fs, Fg or Fb), `stall` (fixed, cyclic or slow, of an Fs),
         `alignment_error` (mm, NaN unless S), `duration` (s), `log_evidence`,
-        `widened` (steps computed again in a wider window), `dropped` (log2 of the most probable
-        state that windows dropped), and, of one run in 56, `total_variation` and `command_error`
-        (see :mod:`jaxreplay.loop.audit`), over the study's axes, `position` and `repeat`. Axes
-        that move together share the dimension of the first. Fixed factors are scalar coordinates.
-        Missing runs have an empty outcome and NaN.
+        `widened` (steps computed again in a wider window), `dropped` (log2 of the largest
+        probability that a window discarded, bit), and, of one run in 56, `total_variation` and
+        `command_error` (see :mod:`jaxreplay.loop.audit`), over the study's axes, `position` and
+        `repeat`. Axes that move together share the dimension of the first. Fixed factors are
+        scalar coordinates. Missing runs have an empty outcome and NaN.
 
     Raises:
         FileNotFoundError: there is no study in the folder.

@@ -57,7 +57,11 @@ def one_of(*allowed: str | bool) -> Reader:
 
 
 def values(given: Any, key: str, read: Reader) -> list:
-    """Read a list, or values spaced evenly (linspace) or evenly in their exponents (logspace)."""
+    """Read a list, or the values of linspace or logspace.
+
+    `{linspace = [first, last, how many]}` are evenly spaced; `{logspace = [first, last, how many]}`
+    are powers of 10 with evenly spaced exponents.
+    """
     if isinstance(given, dict):
         given = _spaced(given, key)
     elif not isinstance(given, list) or not given:
@@ -87,7 +91,7 @@ def groups(given: Any, key: str, axes: dict[str, tuple]) -> tuple[tuple[str, ...
 
 
 def positions(given: Any, key: str) -> tuple[tuple[float, float], ...]:
-    """Read the cube's positions: a list of [x, y], or lists x and y, whose pairs are all meant."""
+    """Read the cube's positions: a list of [x, y], or lists x and y to be combined in full."""
     x, y = number(*CUBE_X), number(*CUBE_Y)
     if isinstance(given, dict):
         known(given, ("x", "y"), f"{key}.")
@@ -143,7 +147,7 @@ def _spaced(given: dict, key: str) -> list[float]:
     if len(given) != 1:
         raise ValueError(f"{key} needs a list, or one of linspace and logspace; got {given!r}")
     ((way, span),) = given.items()
-    what = "exponent" if way == "logspace" else "value"
+    what = "exponent of 10" if way == "logspace" else "value"
     if not isinstance(span, list) or len(span) != 3:
         raise ValueError(f"{key}.{way} must be [first {what}, last {what}, how many]; got {span!r}")
     first, last = (number(-300, 300)(v, f"{key}.{way}[{i}]") for i, v in enumerate(span[:2]))

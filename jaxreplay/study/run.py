@@ -33,10 +33,12 @@ def run_study(
     Args:
         config: the study.
         folder: made if absent; other files in it are left alone.
-        progress: called after each control step, or after each shard that a worker did, with the
-            outcome of every run of the study, empty for those not ended, and their seconds so far.
+        progress: called first with what the folder contains, then after each control step, or
+            after each shard that a worker did. Its arguments are, for all n runs of the study, the
+            outcomes `[n]`, empty for runs not ended, and the simulated seconds so far `[n]`.
         workers: opens processes to run shards in (see :mod:`jaxreplay.study.workers`); None: this
-            process. The results are the same bytes on processors of one kind.
+            process. On processors of the same kind the stored results are identical, byte for
+            byte, wherever they were computed.
 
     Returns:
         The dataset, as :func:`jaxreplay.open_study` returns it.

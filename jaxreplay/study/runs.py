@@ -41,7 +41,10 @@ class Runs(NamedTuple):
 
     @property
     def enabled(self) -> set[str]:
-        """The factors whose value is true in all runs of a shard."""
+        """Factors with a true value in the first run; valid for the runs of one shard.
+
+        The runs of a shard agree in all factors that are switches of sensors.
+        """
         return {name for name, value in self.values.items() if len(value) and value[0]}
 
 
@@ -63,7 +66,7 @@ def shard_size(config: StudyConfig) -> int:
 
 def shards_of(runs: Runs, size: int) -> list[np.ndarray]:
     """Divide runs into shards of runs that can be replayed in one batch; return their indices."""
-    keys = {name: f.together for name, f in FACTORS.items() if f.together}
+    keys = {name: f.batch_key for name, f in FACTORS.items() if f.batch_key}
     alike: dict[tuple, list[int]] = {}
     for k in range(len(runs)):
         key = tuple(of(runs.values[name][k], runs.repeat[k]) for name, of in keys.items())
@@ -74,10 +77,13 @@ def shards_of(runs: Runs, size: int) -> list[np.ndarray]:
 
 
 def settings_of(config: StudyConfig, runs: Runs) -> tuple[Params, list[int], dict[str, np.ndarray]]:
-    """Return the parameters, seeds and reset options of runs, for :func:`jaxreplay.replay`.
+    """Return the parameters, seeds and reset options of n runs, for :func:`jaxreplay.replay`.
 
-    A run's seed follows from the study's seed, the run's factors, position and repeat. It is the
-    same in whatever study the run occurs, and wherever in it.
+    A run's seed is a hash of the study's seed, the run's factors, the index of its position (not
+    the coordinates) and its repeat. It does not depend on the study's other runs.
+
+    Returns:
+        `[n]`-batched parameters, n seeds, and options with n values each (`cube`: `[n, 3]`).
     """
     values = runs.values
     params = Params(values["theta_i"], values["theta_tau"], sigma_of_sensors(values))

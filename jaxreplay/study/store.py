@@ -1,7 +1,7 @@
 """A study on disk: a manifest, and one netCDF file for each finished shard of its runs.
 
-Files are written whole or not at all, so a killed process leaves no half of one, and all that it
-had finished.
+Files are written completely or not at all, so a killed process leaves no partial file and keeps
+every finished shard.
 """
 
 import hashlib
@@ -37,8 +37,14 @@ MANIFEST, LOCK, SHARDS = "study.json", "study.lock", "shards"
 _VERSIONS = "versions"  # for information; they do not belong to the identity
 
 
-def manifest_of(config: StudyConfig, records: Records, shard: int) -> dict[str, Any]:
-    """Return the identity of a study: all that determines its results, and a hash of it."""
+def manifest_of(config: StudyConfig, records: Records, shard_size: int) -> dict[str, Any]:
+    """Return the identity of a study: all that determines its results, and a hash of it.
+
+    Args:
+        config: the study.
+        records: all its demonstrations.
+        shard_size: runs per shard; stored as `shard`.
+    """
     content = hashlib.sha256()
     for array in (records.nodes, records.commands, records.lengths, records.offset):
         content.update(np.ascontiguousarray(array).tobytes())
@@ -50,7 +56,7 @@ def manifest_of(config: StudyConfig, records: Records, shard: int) -> dict[str, 
         "plane": asdict(PlaneParams()),
         "demonstrations": content.hexdigest(),
         "dtype": str(records.nodes.dtype),
-        "shard": shard,
+        "shard": shard_size,
         "format": RESULTS_FORMAT,
     }
     identity = json.loads(json.dumps(identity))  # as it will be read again
@@ -81,6 +87,8 @@ def check_format(folder: Path) -> None:
 @contextmanager
 def claimed(folder: Path, manifest: dict[str, Any]) -> Iterator[None]:
     """Reserve a folder for this process and a study.
+
+    The manifest is written if there is none; one that is damaged is renamed first.
 
     Raises:
         ConfigError: it contains another study (the message lists the differences), or another

@@ -15,10 +15,10 @@ from distributed import Client, KilledWorker, LocalCluster, Worker, WorkerPlugin
 from jaxreplay.machine import keep_compiled
 from jaxreplay.study.run import RunEach
 
-PATIENCE = 10  # s that a scheduler is given to answer
-# Options of glibc's mallopt. Dask's makes it return memory at once that the next step requests
-# again, which took a third of a step's time; and each thread of a run would keep an arena, 0.3 GB
-# in all.
+TIMEOUT = 10  # s in which a scheduler must answer
+# Options of glibc's mallopt. Dask sets a low trim threshold: freed memory returns to the system and
+# is requested again at the next step, a third of a step's time. With one arena per thread, glibc
+# keeps 0.3 GB more.
 _MALLOC = {"M_TRIM_THRESHOLD": (-1, 2**25), "M_MMAP_THRESHOLD": (-3, 2**25), "M_ARENA_MAX": (-8, 2)}
 
 
@@ -51,7 +51,7 @@ def workers_of(scheduler: str) -> Iterator[RunEach]:
         OSError: no scheduler answers there, it has no workers, or a worker cannot be set up.
     """
     try:
-        client = Client(scheduler, timeout=PATIENCE)
+        client = Client(scheduler, timeout=TIMEOUT)
     except (OSError, ValueError) as error:
         raise OSError(f"no Dask scheduler at {scheduler}: {error}") from None
     with client:
@@ -82,7 +82,8 @@ def _run_each(
             yield futures[future], future.result()
     except (CancelledError, KilledWorker) as error:
         raise OSError(
-            f"workers were lost: {error}; finished shards are kept, the same command continues"
+            f"workers were lost: {error}; finished shards are kept; run the same command again "
+            "to continue"
         ) from None
 
 
@@ -98,7 +99,8 @@ class WorkerSetup(WorkerPlugin):
         keep_compiled()
         # Dask samples a worker's stack 100 times a second and keeps an hour of it: 0.5 GB.
         for name in ("profile", "profile-cycle"):
-            if name in worker.periodic_callbacks:  # removed: they may not be started yet
+            if name in worker.periodic_callbacks:
+                # Popped as well as stopped, because Dask may start them after this setup.
                 worker.periodic_callbacks.pop(name).stop()
         with suppress(AttributeError, OSError, TypeError):  # another C library
             for option, value in _MALLOC.values():

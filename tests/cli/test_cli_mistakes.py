@@ -4,7 +4,7 @@ import re
 
 import numpy as np
 import pytest
-from study_helpers import SMALL, TUNED, write
+from study_helpers import SMALL, TUNED, made_up_study, some_records, write
 
 from jaxreplay import cli
 from jaxreplay.errors import ConfigError
@@ -119,7 +119,7 @@ def test_a_mistake_in_set_is_reported_too(tmp_path, capsys, change, message):
     [
         ("theta_i = ", "tuned.toml: is not TOML"),
         (SMALL, "must contain theta_i, theta_tau and a table sigma, as jaxreplay tune saves"),
-        (TUNED.replace("proximeter_5", "sonar"), "proximeter_4, sonar; the plane has camera, prox"),
+        (TUNED.replace("proximeter_5", "sonar"), "4, sonar; the simulated robot has camera"),
         (TUNED.replace("= 0.1\n", "= 'a'\n"), "tuned.toml: sigma.proximeter_0 must be a number"),
         (TUNED.replace("= 0.1\n", "= 0\n"), "sigma_proximeter_0 must be in [1e-06, 1e+06]; got 0"),
         (TUNED.replace("0.03", "3"), "theta_i must be in [0, 1]; got 3"),
@@ -143,7 +143,7 @@ def test_mistakes_outside_the_file_too(tmp_path, capsys):
     other.save(tmp_path / "other.npz")
     config = write(tmp_path, 'demonstrations = "other.npz"\n' + SMALL)
     assert cli.main(["run", str(config), "--out", str(tmp_path / "out")]) == 2
-    assert "its sensors are z0, z1; the plane has camera" in capsys.readouterr().err
+    assert "its sensors are z0, z1; the simulated robot has camera" in capsys.readouterr().err
 
     (tmp_path / "other.npz").write_bytes(b"PK\x03\x04")
     assert cli.main(["run", str(config), "--out", str(tmp_path / "out")]) == 2
@@ -162,3 +162,13 @@ def test_mistakes_outside_the_file_too(tmp_path, capsys):
     config = write(tmp_path, SMALL)
     assert cli.main(["run", str(config), "--out", str(tmp_path / "file")]) == 2
     assert "is a file; give a folder" in capsys.readouterr().err
+
+
+def test_a_file_of_demonstrations_that_is_gone_is_missed_not_made_anew(tmp_path, capsys):
+    mine, out = tmp_path / "mine.npz", tmp_path / "out"
+    some_records().save(mine)
+    made_up_study(write(tmp_path, 'demonstrations = "mine.npz"\n' + SMALL), out)
+    mine.unlink()
+    assert cli.main(["watch", str(out)]) == 2
+    assert "mine.npz: there is no such file of demonstrations; put it" in capsys.readouterr().err
+    assert not mine.exists()

@@ -8,7 +8,7 @@ import pytest
 from recordings_helpers import gradient_compiled_quickly, walks
 
 from jaxreplay import Params, Records, cli
-from jaxreplay.recordings.climb import SCORES
+from jaxreplay.recordings.optimise import SCORES
 from jaxreplay.recordings.scores import default_params, leave_one_out
 
 

@@ -25,7 +25,7 @@ def study(folder, text):
 
 def test_a_study_of_one_value_each_has_a_row_and_a_figure(tmp_path):
     dataset = study(tmp_path, "theta_i = 0.01")
-    assert len([line for line in table(dataset).splitlines() if line]) == 4
+    assert len([line for line in table(dataset).splitlines() if line]) == 5
     figure_3(dataset, tmp_path / "figure.png")
     assert (tmp_path / "figure.png").stat().st_size > 0
 
@@ -57,7 +57,8 @@ def test_bars_are_shares_of_the_runs_and_whiskers_wilsons_interval_of_success(dr
         np.testing.assert_allclose(
             [segment[:, 0] for segment in segments], [[x, x] for x in (0, 1, 2)]
         )
-    assert rows[0, 0].get_title(loc="left") == "a jump keeps the moment τ (same_tau)"
+    above = "same_tau: a jump keeps the moment τ (equation 6 as printed)"
+    assert rows[0, 0].get_title(loc="left") == above
     assert [t.get_text() for t in rows[1, 0].get_xticklabels()] == [
         "$10^{-1}$",
         "$10^{-2}$",
@@ -76,5 +77,5 @@ def test_titles_and_labels_write_symbols_values_and_units(tmp_path):
     )
     assert title(dataset, {"theta_i": 0.0}) == "$\\theta_I$ 0"
     assert label(dataset, "theta_i") == "$\\theta_I$, probability to jump to another record"
-    assert label(dataset, "motor_unit") == "what track speeds round to, m/s"
+    assert label(dataset, "motor_unit") == "resolution of the track speeds, m/s"
     assert label(dataset, "dithering") == "temporal dithering of the tracks"

@@ -15,7 +15,7 @@ def records():
 
 
 def tuned(records, score, evidence=(1.0, 3.0, 2.0), error=(0.2, 0.3, 0.1)):
-    """A climb of 4 steps, scored at 3 of them; σ ends at its least and at its most."""
+    """An optimisation of 4 steps, scored at 3 of them; σ ends at its least and at its most."""
     shares = np.geomspace([0.1, 0.1], [1e-3, 10.0], 5)
     path = Params(np.linspace(0.1, 0.3, 5), np.full(5, 0.05), shares * sensor_span(records))
     each = np.zeros((3, 3))
@@ -24,13 +24,13 @@ def tuned(records, score, evidence=(1.0, 3.0, 2.0), error=(0.2, 0.3, 0.1)):
 
 
 @pytest.mark.parametrize(("score", "best", "theta_i"), [("commands", 2, 0.3), ("evidence", 1, 0.2)])
-def test_the_best_checkpoint_is_that_of_the_climbed_score(tmp_path, records, score, best, theta_i):
-    climbed, path = tuned(records, score), tmp_path / "tuned.toml"
-    assert climbed.best == best
-    assert float(climbed.params(best).theta_i) == pytest.approx(theta_i)
-    save(records, climbed, tmp_path / 'a "b".npz', path)
+def test_the_best_checkpoint_is_of_the_optimised_score(tmp_path, records, score, best, theta_i):
+    result, path = tuned(records, score), tmp_path / "tuned.toml"
+    assert result.best == best
+    assert float(result.params(best).theta_i) == pytest.approx(theta_i)
+    save(records, result, tmp_path / 'a "b".npz', path)
     saved = tomllib.loads(path.read_text(encoding="utf-8"))
-    want = climbed.params(best)
+    want = result.params(best)
     assert np.float32(saved["theta_i"]) == want.theta_i
     assert np.float32(saved["theta_tau"]) == want.theta_tau
     np.testing.assert_array_equal(np.array(list(saved["sigma"].values()), np.float32), want.sigma)

@@ -161,7 +161,7 @@ def test_an_interrupt_keeps_what_was_finished(finished, tmp_path, monkeypatch, c
 
         patch.setattr(run, "run_shard", interrupted)
         assert cli.main(["run", str(config), "--out", str(again)]) == 130
-    assert "finished shards are kept, the same command continues" in capsys.readouterr().err
+    assert "shards are kept; run the same command again to continue" in capsys.readouterr().err
     assert set(shards(again)) == {"00000.nc", "00001.nc"}
     assert cli.main(["run", str(config), "--out", str(again)]) == 0
     assert shards(again) == shards(folder)

@@ -74,7 +74,7 @@ def profile_of(dask_worker):
 
 
 def test_a_scheduler_that_does_not_answer_is_reported(config, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(workers, "PATIENCE", 0.1)
+    monkeypatch.setattr(workers, "TIMEOUT", 0.1)
     out = tmp_path / "out"
     given = ["run", str(config), "--out", str(out), "--scheduler", "tcp://127.0.0.1:1"]
     assert cli.main(given) == 2

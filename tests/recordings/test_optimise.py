@@ -11,7 +11,7 @@ from recordings_helpers import (
 )
 
 from jaxreplay import Params, Records, reference
-from jaxreplay.recordings import climb
+from jaxreplay.recordings import optimise
 from jaxreplay.recordings.scores import command_scale, default_params, leave_one_out, leave_out
 
 
@@ -41,11 +41,11 @@ def records(sequences):
 )
 def test_the_gradient_is_that_of_differences_of_the_reference(sequences, records, jump, score):
     """In logit θ_I, logit 2 θ_τ and log σ; of a record that is shorter than the arrays."""
-    x, i = climb._unconstrained(Params(0.125, 0.0625, SIGMA)), 1
-    others, rows = leave_out(records, i).centred(), climb._rows(records)[i]
+    x, i = optimise._unconstrained(Params(0.125, 0.0625, SIGMA)), 1
+    others, rows = leave_out(records, i).centred(), optimise._rows(records)[i]
     scale = command_scale(records)
-    weights = np.array([score == name for name in climb.SCORES], float)
-    ours = climb._gradient(x, others, rows, scale, weights, jump)
+    weights = np.array([score == name for name in optimise.SCORES], float)
+    ours = optimise._gradient(x, others, rows, scale, weights, jump)
     at = np.concatenate([np.ravel(part) for part in x]).astype(float)
 
     def loss(x):
@@ -72,9 +72,9 @@ def paced():
     return Records.from_sequences(sensors, commands)
 
 
-def test_the_climb_comes_to_the_best_of_a_grid(paced):
+def test_the_optimisation_comes_to_the_best_of_a_grid(paced):
     """Of the two σ; within a tenth of what there is to gain."""
-    *_, end = climb.climb(paced, default_params(paced), "own_tau", steps=40)
+    *_, end = optimise.optimise(paced, default_params(paced), "own_tau", steps=40)
     across = np.geomspace(0.04, 4, 5)
 
     def errors(sigmas):
@@ -88,22 +88,24 @@ def test_the_climb_comes_to_the_best_of_a_grid(paced):
 
 
 def test_evidence_drives_the_sigma_of_what_repeats_itself_to_the_least(paced, monkeypatch):
-    monkeypatch.setattr(climb, "SIGMA_BOUNDS", (0.05, 10.0))
+    monkeypatch.setattr(optimise, "SIGMA_BOUNDS", (0.05, 10.0))
     sensors, commands = paced.sequences()
     sensors = [np.column_stack([s[:, 0], np.arange(len(s)) % 2]) for s in sensors]
     repeating = Records.from_sequences(sensors, commands)
-    *_, end = climb.climb(repeating, default_params(repeating), "own_tau", "evidence", steps=30)
+    *_, end = optimise.optimise(
+        repeating, default_params(repeating), "own_tau", "evidence", steps=30
+    )
     assert end.sigma[1] == pytest.approx(0.05, rel=1e-5)
 
 
-@pytest.mark.parametrize("score", climb.SCORES)
+@pytest.mark.parametrize("score", optimise.SCORES)
 def test_the_path_does_not_depend_on_the_records_offset(sequences, records, score):
     far = Records.from_sequences(*far_from_zero(sequences))
     assert all(far.offset)
     start = Params(0.125, 0.0625, SIGMA)
     for params, want in zip(
-        climb.climb(far, start, "own_tau", score, steps=3),
-        climb.climb(records, start, "own_tau", score, steps=3),
+        optimise.optimise(far, start, "own_tau", score, steps=3),
+        optimise.optimise(records, start, "own_tau", score, steps=3),
         strict=True,
     ):
         for a, b in zip(jax.tree.leaves(params), jax.tree.leaves(want), strict=True):
@@ -112,10 +114,15 @@ def test_the_path_does_not_depend_on_the_records_offset(sequences, records, scor
 
 def test_gradients_do_not_depend_on_the_records_offset(sequences, records):
     far = Records.from_sequences(*far_from_zero(sequences))
-    x, scale = climb._unconstrained(Params(0.125, 0.0625, SIGMA)), command_scale(records)
+    x, scale = optimise._unconstrained(Params(0.125, 0.0625, SIGMA)), command_scale(records)
     gradients = [
-        climb._gradient(
-            x, leave_out(r, 1).centred(), climb._rows(r)[1], scale, np.array([1.0, 0.01]), "own_tau"
+        optimise._gradient(
+            x,
+            leave_out(r, 1).centred(),
+            optimise._rows(r)[1],
+            scale,
+            np.array([1.0, 0.01]),
+            "own_tau",
         )
         for r in (records, far)
     ]

@@ -1,4 +1,7 @@
-"""Gradient descent on the parameters, for a score of left-out records."""
+"""Gradient descent on the parameters, with a loss that scores left-out records.
+
+The loss is the squared error of predicted commands, or minus the log evidence.
+"""
 
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -25,11 +28,11 @@ SCORES: tuple[Score, ...] = ("commands", "evidence")
 PROBABILITY_BOUNDS = (1e-6, 0.999)  # of θ_I and of 2 θ_τ
 SIGMA_BOUNDS = (1e-3, 10.0)  # of σ, as a share of the sensor's range
 LEARNING_RATES = (0.2, 0.01)  # Adam's, at the first step and at the last
-BATCH = 2  # left-out records whose gradients are summed for a step
-WINDOW = 256  # moments of each record that a belief stores; scores have no such limit
+BATCH = 2  # left-out records whose gradients are summed for an optimisation step
+WINDOW = 256  # moments τ (positions on a record) that a belief stores; scores have no such limit
 
 
-def climb(
+def optimise(
     records: Records,
     start: Params,
     jump: Jump = "same_tau",
@@ -37,7 +40,7 @@ def climb(
     steps: int = 30,
     seed: int = 0,
 ) -> Iterator[Params]:
-    """Improve a score of left-out records along its gradient, with Adam.
+    """Minimise a loss of left-out records along its gradient, with Adam.
 
     Each step follows the summed gradient of `BATCH` left-out records, in random order: all are left
     out once before any is left out again. The unknowns are logit θ_I, logit 2 θ_τ and log σ, within
@@ -47,9 +50,9 @@ def climb(
         records: N ≥ 2 records.
         start: one set of parameters.
         jump: the reading of a jump, `"same_tau"` or `"own_tau"`.
-        score: `"commands"`, the squared error of predicted commands, or `"evidence"`, minus the
-            log evidence (see `scores`).
-        steps: the number of steps.
+        score: the loss: `"commands"`, the squared error of predicted commands, or `"evidence"`,
+            minus the log evidence (see `scores`).
+        steps: the number of optimisation steps.
         seed: of the order in which records are left out.
 
     Yields:
@@ -132,7 +135,7 @@ def _gradient(
 
     loss = Σ_t w · (Σ_k (scale_k (u_k,t − v_k,t))², −log p(Z_t | Z_1:t−1))
 
-    The weights w choose the score at run time, so one compiled program serves both. The backward
+    The weights w choose the loss at run time, so one compiled program serves both. The backward
     pass stores beliefs only and computes the rest of each step again, to save memory.
     """
 
