@@ -68,7 +68,7 @@ class Params:
 
     @classmethod
     def tree_unflatten(cls, _: None, leaves: Iterable[Any]) -> Params:
-        """Return parameters with any leaves, for JAX, which puts more than arrays there."""
+        """Return parameters with these leaves, unchecked: JAX also puts placeholders there."""
         params = object.__new__(cls)
         for name, leaf in zip(_NAMES, leaves, strict=True):
             object.__setattr__(params, name, leaf)

@@ -19,7 +19,7 @@ from jaxreplay.machine import write_whole
 # A sensor gets an offset where its largest |value| exceeds this many times its spread: without
 # one, rounding to the working precision would cost its differences three bits or more.
 _FAR = 8
-_BROKEN_ZIP = (zipfile.BadZipFile, zlib.error)
+_BROKEN = (KeyError, ValueError, TypeError, OSError, EOFError, zipfile.BadZipFile, zlib.error)
 
 
 @partial(
@@ -39,9 +39,9 @@ class Records:
 
     Attributes:
         nodes: `[n_s, N, L + 2]` observations ζ less the offset, in the sensors' own units.
-            Column j + 1 is sample j. Columns 0 and L_i + 1 mirror the samples next to the first
-            and the last one, so that the two segments at a record's end coincide and equation 2
-            needs no special case there. Later columns repeat column L_i + 1.
+            Column j + 1 is sample j (samples counted from 0). Columns 0 and L_i + 1 mirror the
+            samples next to the first and the last one, so that the two segments at a record's end
+            coincide and equation 2 needs no special case there. Later columns repeat L_i + 1.
         commands: `[n_u, N, L]` commands v, in the actuators' own units, 0 past L_i.
         lengths: `[N]` the lengths L_i in samples, int32.
         span: `[2, n_s]` the lowest and the highest of each sensor's nodes, in its own unit.
@@ -156,7 +156,10 @@ class Records:
         return self.commands.shape[-1]
 
     def sequences(self) -> tuple[list[np.ndarray], list[np.ndarray]]:
-        """Return what :meth:`from_sequences` was given: arrays `[L_i, n_s]` and `[L_i, n_u]`."""
+        """Return the records as lists of arrays `[L_i, n_s]` and `[L_i, n_u]`.
+
+        They are rounded to the working precision.
+        """
         offset = np.array(self.offset)[:, None, None]
         nodes, commands = np.asarray(self.nodes, np.float64) + offset, np.asarray(self.commands)
         lengths = np.asarray(self.lengths)
@@ -166,14 +169,14 @@ class Records:
         )
 
     def centred(self) -> "Records":
-        """Return these records with offset 0, for observations that :meth:`centre` returned."""
+        """Return the records with offset 0 and the nodes unchanged, for centred observations."""
         return replace(self, offset=(0.0,) * self.n_sensors) if any(self.offset) else self
 
     def centre(self, z: np.ndarray | jax.Array) -> np.ndarray | jax.Array:
-        """Return observations less the offset, as the nodes are stored, in the working precision.
+        """Return observations less the offset, as the nodes are stored.
 
-        The difference is computed in float64. For a JAX array it is computed in that array's
-        precision: pass NumPy arrays where an offset is not 0.
+        NumPy arrays: computed in float64, returned in the working precision. JAX arrays: computed
+        and returned in their own precision, so pass NumPy arrays where an offset is not 0.
 
         Args:
             z: `[…, n_s]` observations, in the sensors' own units.
@@ -198,7 +201,7 @@ class Records:
     def subset(self, which: Sequence[int]) -> "Records":
         """Return the records with the given indices (from 0), in the given order.
 
-        They stay padded to L, so that programs compiled for as many records are reused.
+        They stay padded to L, so that programs compiled for the same number of records are reused.
 
         Raises:
             ValueError: no index is given, or one is outside 0 … N − 1.
@@ -241,7 +244,7 @@ class Records:
         """Return the records in a file that :meth:`save` wrote.
 
         Raises:
-            FileNotFoundError: there is no such file.
+            OSError: there is no such file, or it cannot be opened.
             ValueError: the file is truncated, or does not contain records.
         """
         try:
@@ -264,11 +267,11 @@ class Records:
             command_names = [str(name) for name in parts["command_names"]]
         except FileNotFoundError:
             raise FileNotFoundError(f"no records file {path}") from None
-        except (KeyError, ValueError, TypeError, OSError, EOFError, *_BROKEN_ZIP) as error:
-            raise ValueError(
-                f"{path} does not contain records (truncated, or written by something else): "
-                f"{error}"
-            ) from error
+        except (PermissionError, IsADirectoryError):
+            raise
+        except _BROKEN as error:
+            cause = "(truncated, or written by something else)"
+            raise ValueError(f"{path} does not contain records {cause}: {error}") from error
         try:
             return cls.from_sequences(sensors, commands, sensor_names, command_names, period)
         except ValueError as error:
@@ -305,7 +308,7 @@ def _cast(values: np.ndarray) -> np.ndarray:
 def _offset(values: np.ndarray) -> np.ndarray:
     """Return the offset of each column of values `[T, n]`: its middle, or 0; see :class:`Records`.
 
-    It is a float32 number, so that subtracting it from float32 numbers rounds nothing.
+    It is a float32 number: subtracting it rounds no float32 number within a factor of 2 of it.
     """
     low, high = values.min(axis=0), values.max(axis=0)
     middle = (low / 2 + high / 2).astype(np.float32).astype(np.float64)

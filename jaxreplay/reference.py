@@ -1,8 +1,9 @@
 """The model in plain NumPy and float64: read this file first, beside section 2 of the paper.
 
-Each function is one equation, under the same name and with the same order of arguments as its
-fast twin in :mod:`jaxreplay.filter`, with which it shares no code. The tests hold both to the
-paper. Everything is computed in logarithms, so that no probability underflows.
+Each function is one equation. Functions have the names of their JAX counterparts in
+:mod:`jaxreplay.filter`, which take `Records` for the lists and compute equation 2 relative to an
+anchor; the two share no code, and tests hold both to the paper. Everything is computed in
+logarithms, so that no probability underflows.
 
 - `sensors` and `commands` are lists of N arrays, (L_i, n_s) and (L_i, n_u): the records Π (§ 2.1).
   Row t of a record is the command v_t and the observation ζ_t made after it.
@@ -15,18 +16,19 @@ The paper leaves some points open. They are decided here, each where it arises:
   of a record touch only one segment, which carries full weight. A segment of length zero is the
   point Gaussian, its limit; so is a record of one sample.
 - **Equation 3** with one record is the identity: there is no other record to jump to.
-- **Equations 4 and 6.** The step along τ is taken in the record that is left; its last sample
-  absorbs what would pass it. Then comes the jump. Probability that lands past the end of its new
-  record is discarded, and the rest is renormalised; if nothing remains (θ_I = 1 out of the longest
-  record), the belief before the step is kept.
+- **Equations 4 and 6.** The step along τ is taken in the record that is departed from; its last
+  sample absorbs what would pass it. Then comes the jump. Probability that lands past the end of its
+  new record is discarded, and the rest is renormalised; if nothing remains (θ_I = 1, and all
+  probability is past the end of every other record), the belief before the step is kept.
 - **Equation 5** places all probability on each record's first sample, before the first prediction.
   The first command is therefore mostly that of the second row.
 - **Section 2.2.5.** "The last 10 time steps" are those of each record; a shorter record counts
   whole.
-- **Two readings of a jump.** `same_tau` is equation 6 as printed: a jump keeps τ, the moment of the
-  record that is left. In `own_tau`, the reading of the authors' later software, every record keeps
-  its own distribution over τ, so a jump lands at the moment where the new record stands. That is an
-  approximation: it is not the exact filter of equation 1, and τ may decrease across a jump.
+- **Two readings of a jump,** that is, interpretations of equation 6. `same_tau` is the equation as
+  printed: a jump keeps τ, so it lands at the same index of the new record. In `own_tau`, the
+  reading of the authors' later software, every record keeps its own distribution over τ, and a jump
+  lands where that of the new record is. This is an approximation: it is not the exact filter of
+  equation 1, and τ may decrease across a jump.
 """
 
 from collections.abc import Sequence
@@ -39,7 +41,9 @@ from scipy.special import log_ndtr, logsumexp
 Sequences = Sequence[np.ndarray]  # N arrays (L_i, n)
 
 LAST_STEPS = 10  # § 2.2.5
-SHORT = 1e-3  # segment length × distance, in σ, below which equation 2 is computed as a series
+# A segment on which length/σ × max(1, distance of the farther end from z, /σ) is below this is
+# short: its mean is computed as a series.
+SHORT = 1e-3
 
 
 class Params(NamedTuple):
@@ -57,20 +61,23 @@ class Params(NamedTuple):
 
 
 def segment_mean(z: ArrayLike, start: ArrayLike, end: ArrayLike, sigma: float) -> np.ndarray:
-    """Compute the log mean of the Gaussian N(z − t; 0, σ²) for t from `start` to `end`.
+    """Compute the logarithm of the mean of N(z − t; 0, σ²) for t from `start` to `end`.
 
         1 / (end − start) · ∫ N(z − t; 0, σ²) dt,   one integral of equation 2
 
-    The integral is a difference of two tails, Φ((end − z) / σ) − Φ((start − z) / σ), both taken on
-    the left of the bell unless z lies between them. On a short segment the tails cancel, and the
-    second-order series about the midpoint m is used: N(z − m) · (1 + d² (x² − 1) / 24), with the
-    length d and the distance x of m in σ.
+    The integral is a difference of two tails, Φ((end − z) / σ) − Φ((start − z) / σ). Both
+    arguments are mirrored to be negative, where log Φ is accurate, unless z lies between the ends.
+    On a short segment the tails cancel, and the second-order series about the midpoint m is used:
+    N(z − m) · (1 + d² (x² − 1) / 24), with d = (end − start) / σ and x = (m − z) / σ.
 
     Args:
         z: observations of one sensor; arrays broadcast against each other.
         start: where segments start.
         end: where they end.
         sigma: σ of the sensor.
+
+    Returns:
+        The logarithms, in the shape that the arrays broadcast to.
     """
     z, start, end = (np.asarray(value, float) for value in (z, start, end))
     a, b = np.minimum(start, end), np.maximum(start, end)
@@ -149,7 +156,7 @@ def init(sensors: Sequences) -> np.ndarray:
 
 
 def predict_same_tau(sensors: Sequences, params: Params, belief: np.ndarray) -> np.ndarray:
-    """Compute equation 6 as printed: a jump keeps τ, the moment of the record that is left.
+    """Compute equation 6 as printed: a jump keeps τ, and lands at that index of the new record.
 
     p(I_t, τ_t | Z_{1:t−1}) = Σ_I' p(I_t | I') Σ_τ' p(τ_t | τ') p(I', τ' | Z_{1:t−1})
     """
@@ -192,7 +199,9 @@ def update(
         The belief, and the logarithm of the normalising sum, log p(Z_t | Z_{1:t−1}).
     """
     joint = belief + likelihood(sensors, params, z)
-    best = joint.max()  # subtracted first: far from all records it exceeds the differences by far
+    # Subtracted first: far from all records `best` is so negative that adding `log_sum` would round
+    # the differences away.
+    best = joint.max()
     log_sum = float(_log_sum(joint - best))
     return (joint - best) - log_sum, float(best + log_sum)
 

@@ -8,7 +8,7 @@
 | equation 5, initial condition | `steps.init` |
 | equation 6, prediction | `transition.predict_same_tau`, `transition.predict_own_tau` |
 | equations 7 and 8, command | `steps.command` |
-| equation 9 (and 1, of which it is the recursion), update | `steps.update` |
+| equation 9, update (6 and 9 together are the recursion of 1) | `steps.update` |
 | § 2.2.5, termination | `steps.end_probability` |
 
 Arguments come in one order: records, params, belief, observation z.
@@ -45,16 +45,17 @@ def build_filter(jump: Jump = "same_tau", window: int | None = None) -> Filter:
     Args:
         jump: `"same_tau"`, equation 6 as printed, or `"own_tau"`, in which each record keeps its
             own distribution over τ (see :mod:`jaxreplay.filter.transition`).
-        window: moments of each record to store, in a window that travels with the belief (see
-            :mod:`jaxreplay.filter.window`); then watch `Belief.dropped`. None stores all.
+        window: samples of each record to store, in a window that travels with the belief (see
+            :mod:`jaxreplay.filter.window`). Probability outside it is lost; `Belief.dropped` tells
+            how much at most in one sample. None stores all samples.
 
     Raises:
-        ValueError: an unknown reading, or a window that is too narrow.
+        ValueError: `jump` is not one of `READINGS`, or the window is too narrow.
     """
     if jump not in READINGS:
         raise ValueError(f"jump must be one of {', '.join(READINGS)}; got {jump!r}")
     if window is not None and window < NARROWEST:
-        raise ValueError(f"window must be None or at least {NARROWEST} moments; got {window}")
+        raise ValueError(f"window must be None or at least {NARROWEST} samples; got {window}")
     jitted_update = jax.jit(update)
 
     def update_raw(records, params, belief, z):

@@ -1,4 +1,10 @@
-"""The belief p(I_t, τ_t | Z) of one replay."""
+"""The belief p(I_t, τ_t | Z) of one replay.
+
+- A *sample* is a position on a record: τ = j is its sample j, the moment of the record at which the
+  replay is.
+- A *reading of a jump* is an interpretation of equation 6: `same_tau` or `own_tau` (see
+  :mod:`jaxreplay.filter.transition`).
+"""
 
 from dataclasses import dataclass
 from functools import partial
@@ -9,7 +15,7 @@ import jax
 from jaxreplay.filter.numerics.scaled import LOWEST, Scaled
 
 Jump = Literal["same_tau", "own_tau"]
-READINGS: tuple[Jump, ...] = ("same_tau", "own_tau")  # of a jump, see `transition`
+READINGS: tuple[Jump, ...] = ("same_tau", "own_tau")
 
 NOTHING_DROPPED = 2 * LOWEST  # as a log2 probability
 
@@ -21,18 +27,18 @@ NOTHING_DROPPED = 2 * LOWEST  # as a log2 probability
 )
 @dataclass(frozen=True)
 class Belief:
-    """p(I_t = i, τ_t = j | Z), for the W moments of each record that are stored.
+    """p(I_t = i, τ_t = j | Z), for the W samples of each record that are stored.
 
     Attributes:
         p: `[N, W]` probabilities, 0 past a record's end. Each has an exponent of its own (see
             :mod:`jaxreplay.filter.numerics.scaled`), so no hypothesis is lost to underflow.
-        start: the first stored moment, int32. One number under `same_tau`, where a jump keeps τ;
+        start: the first stored sample, int32. One number under `same_tau`, where a jump keeps τ;
             `[N]`, one for each record, under `own_tau`. 0 without a window.
         dropped: log2 of the most probable hypothesis that a window has discarded so far, rounded
-            down, int32; under `own_tau` of its probability within its record.
+            down, int32; under `own_tau` relative to the most probable sample of its record.
             `NOTHING_DROPPED` if there was none.
         jump: the reading of a jump, `"same_tau"` or `"own_tau"`; static.
-        window: W, or None where all moments are stored (W = L); static.
+        window: W, or None where all samples are stored (W = L); static.
     """
 
     p: Scaled

@@ -22,7 +22,7 @@ def log_evidence(
 
     It measures how well records and parameters explain the sequence, so that parameters can be
     chosen without a robot. `jax.vmap` runs it over parameters and over sequences; sequences of
-    different lengths are filled up with rows of NaN, which have no evidence. Differentiable in σ,
+    different lengths are filled up with rows of NaN, which add 0. Differentiable in σ,
     and in θ_I and θ_τ inside their ranges.
 
     Args:
@@ -37,7 +37,7 @@ def log_evidence(
         A scalar.
 
     Raises:
-        ValueError: the observations are not rows of n_s values.
+        ValueError: the observations are not rows of n_s values, or σ does not have n_s values.
     """
     if jnp.ndim(observations) != 2 or jnp.shape(observations)[1] != records.n_sensors:
         raise ValueError(

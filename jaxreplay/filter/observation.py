@@ -5,7 +5,7 @@ import jax.numpy as jnp
 
 from jaxreplay.filter.numerics.anchor import log_density, measured_only
 from jaxreplay.filter.numerics.blocks import in_blocks
-from jaxreplay.filter.numerics.gaussian import frame_of, segment_mean
+from jaxreplay.filter.numerics.gaussian import segment_mean, sensor_terms
 from jaxreplay.filter.numerics.scaled import Scaled, product
 from jaxreplay.filter.numerics.stage import stage
 from jaxreplay.params import Params
@@ -23,7 +23,7 @@ def likelihood(records: Records, params: Params, z: jax.Array, anchor: jax.Array
     logarithms. Therefore each is divided by the density N(z; anchor, σ²) of one point near the
     observation, which cancels in equation 9; :func:`log_density` gives it.
 
-    The paper leaves open, and here it holds: N(t, σ²) is the normal density of Z_t − t; the first
+    The paper leaves these points open; here: N(t, σ²) is the normal density of Z_t − t; the first
     and last sample of a record touch one segment, which carries full weight; a segment of length
     zero is the point Gaussian, its limit, and so is a record of one sample.
 
@@ -32,25 +32,26 @@ def likelihood(records: Records, params: Params, z: jax.Array, anchor: jax.Array
         params: σ is used.
         z: `[n_s]` the centred observation Z_t; NaN marks a missing sensor, which contributes no
             factor.
-        anchor: `[n_s]` any point; the best is that of `numerics.anchor.anchor_point`.
+        anchor: `[n_s]` any point, centred, in the sensors' units; the best is that of
+            `numerics.anchor.anchor_point`.
 
     Returns:
         `[N, L]` p(Z_t | i, j) / N(Z_t; anchor, σ²). Entries past a record's end are arbitrary.
     """
     z, measured = measured_only(records, z)
-    frame = frame_of(params.sigma, z, anchor)
+    terms = sensor_terms(params.sigma, z, anchor)
 
-    def states(nodes: jax.Array) -> Scaled:
-        return _states(segment_mean(nodes, frame), measured[:, None])
+    def likelihoods(nodes: jax.Array) -> Scaled:
+        return _likelihoods(segment_mean(nodes, terms), measured[:, None])
 
     every_node = records.nodes.reshape(records.n_sensors, -1)  # records end to end
     return jax.tree.map(
-        lambda x: x.reshape(records.n_records, -1)[:, :-2], in_blocks(states, every_node)
+        lambda x: x.reshape(records.n_records, -1)[:, :-2], in_blocks(likelihoods, every_node)
     )
 
 
 @stage
-def _states(segments: Scaled, measured: jax.Array) -> Scaled:
+def _likelihoods(segments: Scaled, measured: jax.Array) -> Scaled:
     """Average the two segments at every sample, and multiply over sensors.
 
     Args:

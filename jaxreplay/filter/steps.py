@@ -30,7 +30,7 @@ def init(records: Records, jump: Jump = "same_tau", window: int | None = None) -
     Args:
         records: N records.
         jump: the reading of a jump, `"same_tau"` or `"own_tau"`.
-        window: moments of each record to store; None stores all.
+        window: samples of each record to store; None stores all.
     """
     if window is not None and window >= records.longest:
         window = None

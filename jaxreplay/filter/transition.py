@@ -45,17 +45,21 @@ def time_transition(records: Records, params: Params, mass: Scaled) -> Scaled:
 
 
 def predict_same_tau(records: Records, params: Params, mass: Scaled) -> Scaled:
-    """Compute equation 6 as printed: a jump keeps τ, the moment of the record that is left.
+    """Compute equation 6 as printed: a jump keeps τ, and lands at that index of the new record.
 
         p(I_t, τ_t | Z_{1:t−1}) = Σ_I' p(I_t | I') Σ_τ' p(τ_t | τ') p(I', τ' | Z_{1:t−1})
 
     Probability that lands past the end of its new record is discarded, and the rest renormalised;
-    if nothing remains (θ_I = 1 out of the longest record), the belief before the step is kept.
+    if nothing remains (θ_I = 1, and all probability is past the end of every other record), the
+    belief before the step is kept.
 
     Args:
         records: their lengths are used.
         params: θ_I and θ_τ are used.
         mass: `[N, L]` the belief before the step.
+
+    Returns:
+        `[N, L]` the predicted belief; it sums to 1.
     """
     moved = time_transition(records, params, mass)
     landed = record_transition(params, moved).where(_inside(records.lengths, mass))
@@ -68,14 +72,17 @@ def predict_own_tau(records: Records, params: Params, mass: Scaled) -> Scaled:
 
         p(I_t = i, τ_t) = [Σ_I' p(I_t = i | I') p(I')] · [Σ_τ' p(τ_t | τ') p(τ' | I_{t−1} = i)]
 
-    A jump lands at the moment where the new record stands: the reading of the authors' later
-    software. It approximates equation 1. Its evidence is that of the approximation, and τ may
+    A jump lands where the new record's own distribution over τ is: the reading of the authors'
+    later software. It approximates equation 1. Its evidence is that of the approximation, and τ may
     decrease across a jump, which equation 4 forbids.
 
     Args:
         records: their lengths are used.
         params: θ_I and θ_τ are used.
         mass: `[N, L]` the belief before the step.
+
+    Returns:
+        `[N, L]` the predicted belief; its sum is that of `mass`.
     """
     weight = mass.sum(axis=1)[:, None]
     conditional = time_transition(records, params, mass / weight)
@@ -101,15 +108,16 @@ def _step(lengths: jax.Array, theta_tau: jax.Array, mass: Scaled) -> Scaled:
 
 
 def _inside(lengths: jax.Array, mass: Scaled) -> jax.Array:
-    """Mark the `[N, L]` entries that are moments of a record, not padding."""
+    """Mark the `[N, L]` entries that are samples of a record, not padding."""
     return jnp.arange(mass.exponent.shape[1])[None] < lengths[:, None]
 
 
 def _sum_of_others(mass: Scaled) -> Scaled:
-    """Return Σ_{i' ≠ i} mass[i'] for every i along axis 0, without cancellation; not normalised.
+    """Return Σ_{i' ≠ i} mass[i'] for every i along axis 0, without cancellation.
 
     The total minus the term itself is accurate where another term is as large. Where one term
-    exceeds all others, the others are summed by themselves.
+    exceeds all others, the others are summed by themselves. The mantissas returned are not in
+    [1, 2).
     """
     highest = jnp.max(mass.exponent, axis=0, keepdims=True)
     top = mass.exponent == highest

@@ -1,11 +1,12 @@
-"""A window that travels with the belief, so that a step's cost does not grow with the records.
+"""A window that travels with the belief: a step's cost does not grow with the records' length.
 
-The equations run unchanged on a *view*: the records cut to the W moments in the window, their
+The equations run unchanged on a *view*: the records cut to the W samples in the window, their
 lengths counted from its start. A belief wider than its window loses probability at both edges, and
 `Belief.dropped` records the most probable hypothesis lost, in bits. It matters even where it is
 tiny: a hypothesis of 2^-100 may win later, when an observation rules out all others. A step that
 dropped too much can be computed again from the belief before it, brought to a wider window by
-:func:`resize`. After t steps τ ≤ 2 t, so the first (W − 1) / 2 steps lose nothing.
+:func:`resize`. After t steps τ ≤ 2 t, so no probability reaches the leading `STRIDE` columns, and
+nothing is lost, in the first (W − STRIDE) / 2 steps.
 """
 
 import dataclasses
@@ -19,14 +20,14 @@ from jaxreplay.filter.numerics.scaled import Scaled, less
 from jaxreplay.filter.numerics.stage import stage
 from jaxreplay.records import Records
 
-STRIDE = 8  # moments that a window moves at a time
-REACH = 2  # moments that a step of equation 4 advances at most
-NARROWEST = 4 * STRIDE  # moments; a narrower window loses what it should follow
+STRIDE = 8  # samples that a window moves at a time
+REACH = 2  # samples that a step of equation 4 advances at most
+NARROWEST = 4 * STRIDE  # samples; a narrower window loses what it should follow
 _BEHIND, _AHEAD = slice(None, STRIDE), slice(-STRIDE, None)
 
 
 def view(records: Records, belief: Belief) -> Records:
-    """Return the records cut to the belief's window, `[N, W]` moments from `belief.start`."""
+    """Return the records cut to the belief's window, `[N, W]` samples from `belief.start`."""
     if belief.window is None:
         return records
     return dataclasses.replace(
@@ -40,7 +41,8 @@ def view(records: Records, belief: Belief) -> Records:
 def follow(records: Records, belief: Belief) -> Belief:
     """Shift a window by `STRIDE` when its leading edge has more probability than its trailing one.
 
-    To be called before a prediction. `own_tau` has a window for each record, which shift apart.
+    To be called before a prediction. `own_tau` has a window for each record, and each shifts
+    independently.
     """
     width = belief.window
     if width is None:
@@ -61,7 +63,7 @@ def follow(records: Records, belief: Belief) -> Belief:
 
 
 def resize(records: Records, belief: Belief, window: int | None) -> Belief:
-    """Return the belief in a wider or narrower window; None stores all moments.
+    """Return the belief in a wider or narrower window; None stores all samples.
 
     A narrower window is placed where it loses least, and the loss counts as dropped.
     """
@@ -93,12 +95,13 @@ def resize(records: Records, belief: Belief, window: int | None) -> Belief:
 def _bits(belief: Belief, part: Scaled) -> jax.Array:
     """Return log2 of probabilities `[N, …]` of the belief, rounded down.
 
-    Under `own_tau`, where records keep distributions of their own, within each record's.
+    Under `own_tau`, where records keep distributions of their own, it is relative to the most
+    probable sample of the record.
     """
-    of = 0
+    top = 0
     if belief.jump == "own_tau":
-        of = jnp.max(belief.p.exponent, axis=1, keepdims=True)
-    bits = jnp.maximum(part.exponent - of, NOTHING_DROPPED)
+        top = jnp.max(belief.p.exponent, axis=1, keepdims=True)
+    bits = jnp.maximum(part.exponent - top, NOTHING_DROPPED)
     return jnp.where(part.mantissa == 0, NOTHING_DROPPED, bits)
 
 

@@ -1,4 +1,4 @@
-"""The accuracy that windows cost: a replay filtered again with all moments stored, and compared."""
+"""The accuracy that windows cost: a replay filtered again with all samples stored, and compared."""
 
 from typing import NamedTuple
 
@@ -24,13 +24,13 @@ class Audit(NamedTuple):
 
 
 def audit(records: Records, params: Params, jump: Jump, observations: np.ndarray) -> Audit:
-    """Filter observations with windows and without, step by step.
+    """Return the largest differences that windows make over one replay's observations.
 
     Args:
         records: N records.
         params: one set of parameters.
         jump: `"same_tau"` or `"own_tau"`.
-        observations: `[T, n_s]` Z_1 … Z_T of a replay.
+        observations: `[T, n_s]` Z_1 … Z_T of a replay, in the sensors' units.
     """
     # As many lanes as a study has, all but one idle, so that the same compiled programs serve.
     batch = jax.tree.map(lambda x: np.stack([x] * LANES), params)
@@ -42,14 +42,14 @@ def audit(records: Records, params: Params, jump: Jump, observations: np.ndarray
     for z in observations:
         for tracker in (windowed, complete):
             tracker.observe(np.stack([z] * LANES), first)
-        p, q = (_posterior(records, tracker.belief(0)) for tracker in (windowed, complete))
+        p, q = (_probabilities(records, tracker.belief(0)) for tracker in (windowed, complete))
         off = np.abs(windowed.command[0] - complete.command[0]) / span
         worst = np.maximum(worst, (np.abs(p - q).sum() / 2, off.max()))
     return Audit(*worst.tolist())
 
 
-def _posterior(records: Records, belief: Belief) -> np.ndarray:
-    """Return probabilities `[N, L]`, in NumPy, so that no width of window needs a program."""
+def _probabilities(records: Records, belief: Belief) -> np.ndarray:
+    """Return probabilities `[N, L]`, in NumPy, so that nothing is compiled for each width."""
     belief = jax.tree.map(np.asarray, belief)
     stored = np.ldexp(belief.p.mantissa, belief.p.exponent)
     p = np.zeros((records.n_records, records.longest))

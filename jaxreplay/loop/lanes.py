@@ -13,14 +13,21 @@ from jaxreplay.filter.belief import NOTHING_DROPPED, Belief, Jump
 from jaxreplay.filter.steps import update
 from jaxreplay.filter.window import resize
 
-# Processors with 512-bit registers gain a quarter; XLA uses half of such a register by default.
+# Processors with 512-bit registers run the step 25 % faster with it; XLA uses half of such a
+# register by default.
 COMPILER_OPTIONS = {"xla_cpu_prefer_vector_width": 512}
 
 
 class Results(NamedTuple):
-    """Results of a control step, each `[B, …]`.
+    """Results of a control step.
 
     Where `dropped` exceeds the limit, the belief was left unchanged and the rest is to be ignored.
+
+    Attributes:
+        command: `[B, n_u]` for the next step.
+        log_evidence: `[B]` log p(Z_t | Z_{1:t−1}).
+        end_probability: `[B]` p(τ in the last 10 samples), after the update with Z_t.
+        dropped: `[B]` log2 of the most probable hypothesis that the step dropped, int32.
     """
 
     command: jax.Array
@@ -33,13 +40,14 @@ class Steps(NamedTuple):
     """The compiled steps for B replays whose beliefs are in windows of one width.
 
     All take `beliefs` of B replays and choose which to work on: `chosen`, `[B]` indices, of which
-    the first n count. They return the beliefs, in the memory of those given, and `[B, …]` results.
-    Records are centred, and so are observations.
+    the first n count. They return the beliefs, and `[B, …]` results. The buffers of `beliefs` are
+    donated. `move` copies beliefs from `source`, in windows of another width, into windows of this
+    width. Records are centred, and so are observations.
     """
 
     begin: Callable  # (records, params, beliefs, chosen, n) → beliefs, command
     observe: Callable  # (records, params, beliefs, chosen, n, z, droppable) → beliefs, Results
-    move: Callable  # (records, source beliefs, beliefs, chosen, n) → beliefs, dropped
+    move: Callable  # (records, source, beliefs, chosen, n) → beliefs, dropped
 
 
 @cache
@@ -57,11 +65,11 @@ def steps(jump: Jump, window: int | None) -> Steps:
     def observe(records, params, beliefs, chosen, n, z, droppable):
         def one(b, before):
             belief, log_evidence = update(records, lane(params, b), _fresh(before), z[b])
-            ended = filter.end_probability(records, belief)
+            end_probability = filter.end_probability(records, belief)
             belief = filter.predict(records, lane(params, b), belief)
-            dropped = belief.dropped
-            results = Results(filter.command(records, belief), log_evidence, ended, dropped)
-            too_much = dropped > droppable[b]
+            command = filter.command(records, belief)
+            results = Results(command, log_evidence, end_probability, belief.dropped)
+            too_much = belief.dropped > droppable[b]
             return jax.tree.map(lambda x, y: jnp.where(too_much, x, y), before, belief), results
 
         return _each(one, beliefs, chosen, n)

@@ -29,9 +29,9 @@ class Replays(NamedTuple):
         steps: `[n]` control steps taken.
         reward: `[n]` sum of the environment's rewards.
         log_evidence: `[n]` log p(Z_1:t) of the replay.
-        info: the environment's info of each replay's last step, `[n, …]` by name; NaN or empty
-            where it gave none.
-        widened: `[n]` steps computed again in a wider window.
+        info: the environment's info of each replay's last step, `[n, …]` by name; where it gave
+            none: NaN for floats, else 0, False or an empty string.
+        widened: `[n]` times that a step was computed again in a wider window.
         dropped: `[n]` log2 of the most probable hypothesis that windows dropped; −∞ for none.
         observations: of each replay asked for, a list of its `[n_s]` Z_t.
     """
@@ -60,22 +60,27 @@ def replay(
 ) -> Replays:
     """Replay the records n times in the B slots of an environment.
 
-    All slots advance together; a slot whose replay has ended is given the next. A replay is
-    complete when p(τ in the last 10 samples) exceeds 0.9 (§ 2.2.5): if the goal is to be reached,
-    record 10 more samples after it.
+    A slot is a sub-environment of `env`; it has one replay at a time. All slots advance together,
+    and a slot whose replay has ended is given the next. A replay is complete when p(τ in the last
+    10 samples) exceeds 0.9 (§ 2.2.5): if the goal is to be reached, record 10 more samples after
+    it.
 
     Args:
         records: demonstrations of the environment's observations and actions.
         params: `[n]`-batched parameters.
         env: any Gymnasium vector environment with Box observations and actions whose autoreset
-            is disabled. Slots marked in its attribute `resting`, if it has one, are not simulated.
+            is disabled. If it has an attribute `resting` (`[B]` bool), slots whose replay has ended
+            are set True there, and the environment may skip them.
         seeds: n seeds, one for each replay.
         jump: `"same_tau"` or `"own_tau"`.
         options: for the environment's reset, `[n, …]` by name; the environment receives those of
-            its slots, `[B, …]`. (Gymnasium's own SyncVectorEnv passes all of it to each world.)
+            its slots, `[B, …]`. (Gymnasium's own SyncVectorEnv passes the whole `[B, …]` arrays to
+            each sub-environment.)
         keep: replays whose observations are returned.
         progress: called with the results so far after every control step.
-        tracker: what filters the replays of `LANES` slots; another one serves to compare filters.
+        tracker: constructor of the filter of `LANES` slots, called as `tracker(records, params,
+            jump)`; its result needs `begin`, `observe`, `command`, `widened` and `dropped` as in
+            :class:`Tracker`. Another than the default serves to compare filters.
 
     Raises:
         ValueError: environment and records do not fit each other, or its autoreset is enabled.
@@ -85,15 +90,15 @@ def replay(
         loop = _Loop(records, params, env, seeds, jump, options or {}, keep, tracker, threads)
         loop.start(np.ones(env.num_envs, bool))
         while loop.going.any():
-            seen = loop.step(loop.trackers.command)
-            loop.observe(seen)
-            loop.start(loop.end(seen))
+            result = loop.step(loop.trackers.command)
+            loop.observe(result)
+            loop.start(loop.end(result))
             progress(loop.replays)
     return loop.replays
 
 
-class _Seen(NamedTuple):
-    """What `env.step` returns, `[B, …]`."""
+class _StepResult(NamedTuple):
+    """What `env.step` returns, each `[B, …]`."""
 
     observation: np.ndarray
     reward: np.ndarray
@@ -105,8 +110,8 @@ class _Seen(NamedTuple):
 class _Trackers:
     """Trackers for B slots, `LANES` slots each, stepped in threads.
 
-    All have one size, so that the same compiled programs serve; the last is filled up with lanes
-    that never observe.
+    All have `LANES` lanes, so that the same compiled programs serve; the last has lanes without a
+    slot, which never observe.
     """
 
     def __init__(self, records, params, slots: int, jump: Jump, make: MakeTracker, threads):
@@ -115,15 +120,15 @@ class _Trackers:
         first = np.zeros(LANES, int)
         self._each = [make(records, _of(params, first), jump) for _ in self._parts]
 
-    def begin(self, which: np.ndarray, params: Params, run: np.ndarray) -> None:
-        """Begin the replays `run[which]` in the slots `which`; both `[B]`."""
-        which, run = self._padded(which), self._padded(run)
+    def begin(self, which: np.ndarray, params: Params, replay_in_slot: np.ndarray) -> None:
+        """Begin the replays `replay_in_slot` in the slots `which` (`[B]` ints, `[B]` bool)."""
+        which, replays = self._padded(which), self._padded(replay_in_slot)
         for tracker, part in zip(self._each, self._parts, strict=True):
             if which[part].any():
-                tracker.begin(which[part], _of(params, run[part]))
+                tracker.begin(which[part], _of(params, replays[part]))
 
     def observe(self, z: np.ndarray, which: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Update the slots `which` with z `[B, n_s]`; return log evidence and end probability."""
+        """Update the slots `which`, `[B]` bool, with z `[B, n_s]`; return as :class:`Tracker`."""
         z, which = self._padded(z), self._padded(which)
         results = np.zeros((2, self._lanes))
 
@@ -132,8 +137,8 @@ class _Trackers:
                 results[:, part] = tracker.observe(z[part], which[part])
 
         list(self._threads.map(one, self._each, self._parts))
-        log_evidence, ended = results[:, : self._slots]
-        return log_evidence, ended
+        log_evidence, end_probability = results[:, : self._slots]
+        return log_evidence, end_probability
 
     @property
     def command(self) -> np.ndarray:
@@ -159,15 +164,15 @@ class _Trackers:
 
 
 class _Loop:
-    """The state of :func:`replay`: which replay each slot runs, and what is known of all."""
+    """The state of :func:`replay`: which replay each slot has, and the results so far."""
 
     def __init__(self, records, params, env, seeds, jump, options, keep, tracker, threads):
         n, slots = len(seeds), env.num_envs
         self.env, self.params, self.seeds, self.options = env, params, seeds, options
-        self.run = np.zeros(slots, int)  # the replay in each slot
+        self.replay_in_slot = np.zeros(slots, int)  # indices of replays
         self.going = np.zeros(slots, bool)  # slots whose replay has not ended
         self.started = 0  # replays given to a slot so far
-        self.over = np.zeros(slots, bool)  # slots whose world must be reset to be stepped again
+        self.over = np.zeros(slots, bool)  # slots to be reset before they can be stepped again
         self.trackers = _Trackers(records, params, slots, jump, tracker, threads)
         self.replays = Replays(
             ending=np.full(n, "", dtype="<U10"),
@@ -181,68 +186,76 @@ class _Loop:
         )
 
     def start(self, free: np.ndarray) -> None:
-        """Give the next replays to free slots `[B]`: reset their worlds, begin their beliefs."""
+        """Give the next replays to free slots, `[B]` bool: reset these and begin their beliefs."""
         slots = len(free)
         take = np.flatnonzero(free)[: len(self.seeds) - self.started]
         first = self.started == 0
-        self.run[take] = np.arange(self.started, self.started + len(take))
+        self.replay_in_slot[take] = np.arange(self.started, self.started + len(take))
         self.going[take] = True
         self.started += len(take)
         taken = np.isin(np.arange(slots), take)
-        # At first every slot; later also worlds that are over, which cannot be stepped any more.
+        # At first every slot; later also slots that are over, which cannot be stepped any more.
         fresh = free if first else taken | (self.over & ~self.going)
         if not fresh.any():
             return
-        options = {name: np.asarray(value)[self.run] for name, value in self.options.items()}
-        seeds = [self.seeds[self.run[b]] if self.going[b] else None for b in range(slots)]
+        options = {
+            name: np.asarray(value)[self.replay_in_slot] for name, value in self.options.items()
+        }
+        seeds = [
+            self.seeds[self.replay_in_slot[b]] if self.going[b] else None for b in range(slots)
+        ]
         self.env.reset(seed=seeds, options=options | {"reset_mask": fresh.copy()})
-        self.trackers.begin(taken, self.params, self.run)
+        self.trackers.begin(taken, self.params, self.replay_in_slot)
 
-    def step(self, command: np.ndarray) -> _Seen:
+    def step(self, command: np.ndarray) -> _StepResult:
         """Send commands `[B, n_u]`; return what the environment gives back."""
-        return _Seen(*self.env.step(command.astype(self.env.single_action_space.dtype)))
+        return _StepResult(*self.env.step(command.astype(self.env.single_action_space.dtype)))
 
-    def observe(self, seen: _Seen) -> None:
+    def observe(self, result: _StepResult) -> None:
         """Update beliefs with the observations, and the results with what is known now."""
-        going, now, replays = self.going, self.run[self.going], self.replays
-        z = np.asarray(seen.observation, float)
+        going, now, replays = self.going, self.replay_in_slot[self.going], self.replays
+        z = np.asarray(result.observation, float)
         log_evidence, self.end_probability = self.trackers.observe(z, going)
         for b in np.flatnonzero(going):
-            if self.run[b] in replays.observations:
-                replays.observations[self.run[b]].append(z[b].copy())
+            if self.replay_in_slot[b] in replays.observations:
+                replays.observations[self.replay_in_slot[b]].append(z[b].copy())
         replays.steps[now] += 1
         replays.widened[now] = self.trackers.widened[going]
         replays.dropped[now] = self.trackers.dropped[going]
-        replays.reward[now] += seen.reward[going]
+        replays.reward[now] += result.reward[going]
         replays.log_evidence[now] += log_evidence[going]
 
-    def end(self, seen: _Seen) -> np.ndarray:
-        """Note which replays ended, and how; return their slots `[B]`."""
+    def end(self, result: _StepResult) -> np.ndarray:
+        """Note which replays ended, and how; return their slots, `[B]` bool."""
         before = self.going.copy()
         for ending, is_so in (
-            ("terminated", seen.terminated),
+            ("terminated", result.terminated),
             ("completed", self.end_probability > COMPLETED),
-            ("truncated", seen.truncated),
+            ("truncated", result.truncated),
         ):
             ends = is_so & self.going
-            self.replays.ending[self.run[ends]] = ending
+            self.replays.ending[self.replay_in_slot[ends]] = ending
             self.going[ends] = False
         ended = before & ~self.going
         if ended.any():
-            _keep_info(self.replays.info, seen.info, self.run, ended, len(self.seeds))
+            _keep_info(self.replays.info, result.info, self.replay_in_slot, ended, len(self.seeds))
         if hasattr(self.env, "resting"):
             self.env.resting[ended] = True
         else:
-            self.over = seen.terminated | seen.truncated
+            self.over = result.terminated | result.truncated
         return ended
 
 
-def _of(params: Params, runs: np.ndarray) -> Params:
-    return jax.tree.map(lambda x: x[runs], params)
+def _of(params: Params, replays: np.ndarray) -> Params:
+    return jax.tree.map(lambda x: x[replays], params)
 
 
 def _keep_info(
-    kept: dict[str, np.ndarray], info: dict[str, Any], run: np.ndarray, ended: np.ndarray, n: int
+    kept: dict[str, np.ndarray],
+    info: dict[str, Any],
+    replay_in_slot: np.ndarray,
+    ended: np.ndarray,
+    n: int,
 ) -> None:
     """Copy the info of slots that ended, where it is an array, to the results of their replays."""
     for name, value in info.items():
@@ -252,7 +265,7 @@ def _keep_info(
             missing = np.nan if value.dtype.kind == "f" else value.dtype.type()
             kept[name] = np.full((n, *value.shape[1:]), missing, value.dtype)
         given = ended & info.get(f"_{name}", True)
-        kept[name][run[given]] = value[given]
+        kept[name][replay_in_slot[given]] = value[given]
 
 
 def _check(records: Records, env: VectorEnv) -> None:
@@ -268,5 +281,6 @@ def _check(records: Records, env: VectorEnv) -> None:
     ):
         if not isinstance(space, gymnasium.spaces.Box) or space.shape != (wanted,):
             raise ValueError(
-                f"the environment's {what} are {space}; the records have {wanted} numbers a row"
+                f"the environment's {what} are {space}; the records have {wanted} numbers a row, "
+                f"so a Box of shape ({wanted},) is needed"
             )

@@ -12,7 +12,7 @@ from jaxreplay.params import Params
 from jaxreplay.records import Records
 
 _THIS = np.array([True])
-COARSE = 1e3  # σ from the middle of a sensor's range, where float32 resolves 1e-4 σ
+COARSE = 1e3  # σ from the records' offset (mostly 0), where float32 resolves 1e-4 σ
 
 
 class Followed(NamedTuple):
@@ -20,7 +20,7 @@ class Followed(NamedTuple):
 
     Attributes:
         record: index of the record, from 0.
-        moment: index of the row in it, from 0.
+        moment: τ, index of the sample in it, from 0.
         probability: p(I, τ) of that state.
     """
 
@@ -54,7 +54,7 @@ class Replayer:
             jump: `"same_tau"` or `"own_tau"`.
 
         Raises:
-            ValueError: an unknown reading, or parameters that do not fit the records.
+            ValueError: `jump` is not one of `READINGS`, or parameters do not fit the records.
         """
         check_fit(records, params)
         self._records = records
@@ -69,7 +69,7 @@ class Replayer:
         self.end_probability = self.log_evidence = 0.0
 
     def command(self) -> np.ndarray:
-        """Return the command `[n_u]` for the next control step.
+        """Return the command `[n_u]` for the next control step, in the actuators' units.
 
         Called again without an observation between, it continues by time alone.
         """
@@ -82,14 +82,14 @@ class Replayer:
         """Update the belief with the observation made after the command.
 
         Args:
-            z: `[n_s]` Z_t; NaN marks a missing sensor.
+            z: `[n_s]` Z_t in the sensors' units; NaN marks a missing sensor.
 
         Returns:
             log p(Z_t | Z_{1:t−1}).
 
         Raises:
-            ValueError: another shape, an infinite value, or no command since the last
-                observation. The belief is left unchanged.
+            ValueError: another shape, a value that is infinite or too large for the working
+                precision, or no command since the last observation. The belief is left unchanged.
         """
         names = self._records.sensor_names
         try:
@@ -105,20 +105,23 @@ class Replayer:
         infinite = np.flatnonzero(np.isinf(np.asarray(self._records.centre(z))))
         if len(infinite):
             k = infinite[0]
-            raise ValueError(
-                f"the observation's {names[k]} is {z[k]}; give NaN for a missing sensor"
-            )
+            why = "; give NaN for a missing sensor"
+            if np.isfinite(z[k]):
+                why = (
+                    f", too large for {self._records.nodes.dtype}; give NaN if it is no measurement"
+                )
+            raise ValueError(f"the observation's {names[k]} is {z[k]}{why}")
         if self._observed:
             raise ValueError("no command since the last observation: call command() first")
-        log_evidence, ended = self._tracker.observe(z[None], _THIS)
+        log_evidence, end_probability = self._tracker.observe(z[None], _THIS)
         self._observed = True
         self.log_evidence += float(log_evidence[0])
-        self.end_probability = float(ended[0])
+        self.end_probability = float(end_probability[0])
         return float(log_evidence[0])
 
     @property
     def following(self) -> Followed:
-        """The most probable record and moment for the next command (or the one just returned)."""
+        """The most probable record and sample for the next command (or the one just returned)."""
         belief = jax.tree.map(np.asarray, self._tracker.belief(0))
         p = belief.p.value()
         record, column = np.unravel_index(np.argmax(p), p.shape)
@@ -140,10 +143,10 @@ def check_fit(records: Records, params: Params) -> None:
             f"{np.shape(params.theta_tau)} and {sigma.shape}"
         )
     reach = np.abs(np.asarray(records.nodes)).max(axis=(1, 2)) / sigma
-    for name, far in zip(records.sensor_names, reach, strict=True):
+    for name, far, offset in zip(records.sensor_names, reach, records.offset, strict=True):
         if records.nodes.dtype == np.float32 and far > COARSE:
             warnings.warn(
-                f"{name} reaches {far:.0f} σ from the middle of its range, where float32 is "
-                "coarse; use JAX's x64, or a larger σ",
+                f"{name} has values {far:.0f} σ from {offset:g}, where float32 is coarse; use "
+                "JAX's x64, or a larger σ",
                 stacklevel=3,
             )

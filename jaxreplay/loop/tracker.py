@@ -16,20 +16,24 @@ from jaxreplay.machine import cores
 from jaxreplay.params import Params
 from jaxreplay.records import Records
 
-# Widths of windows to choose from, in moments of a record, besides all moments.
+# Widths of windows to choose from, in samples of a record, besides all samples.
 WINDOWS = (128, 256, 384, 512, 768, 1152, 1728, 2592, 3888)
-LANES = 28  # replays that are advanced in one call, so that one compiled program serves all
+# Replays that are advanced in one call, so that one compiled program serves all: two calls, one on
+# each of two cores, advance the 56 slots that a study has by default.
+LANES = 28
 NARROW_EVERY = 32  # steps after which a narrower window is tried
 # A window may drop a hypothesis only if it is so improbable that this many observations could not
-# make it win again, even if each favoured it by as much as the records' range allows, …
+# make it win again, even if each favoured it by as much as the records' range allows (for
+# observations inside that range), …
 RETURN_AFTER = 24
 MARGIN = 200  # … and by this many bits more, for records that hardly differ
+NARROW_MARGIN = 4  # bits below the limit that a narrower window must stay, or it soon widens again
 
 _lane_of = jax.jit(lane)
 
 
 def windows_for(records: Records, windows: Sequence[int] | None = None) -> tuple[int | None, ...]:
-    """Return the windows narrower than the records, and None, which stores all moments.
+    """Return the windows narrower than the records, and None, which stores all samples.
 
     Args:
         records: the records.
@@ -53,9 +57,11 @@ class Tracker:
     Attributes:
         command: `[B, n_u]` the commands to send next.
         window: `[B]` index of the window that each replay is in.
-        widened: `[B]` steps computed again in a wider window since the replay began.
+        widened: `[B]` times that a step was computed again in a wider window since the replay
+            began.
         dropped: `[B]` log2 of the most probable hypothesis dropped since then; −∞ for none.
-        droppable: `[B]` log2 of the limit on `dropped`, which follows from σ.
+        droppable: `[B]` limit on `dropped` (a log2 probability, int32), from σ and the sensors'
+            ranges.
     """
 
     def __init__(
@@ -71,7 +77,7 @@ class Tracker:
             records: N records.
             params: `[B]`-batched parameters.
             jump: `"same_tau"` or `"own_tau"`.
-            windows: widths in ascending order, to choose from besides all moments; `WINDOWS` if
+            windows: widths in ascending order, to choose from besides all samples; `WINDOWS` if
                 None.
         """
         self.records, self.params, self.jump = records, params, jump
@@ -89,12 +95,13 @@ class Tracker:
         """Begin replays at the records' first samples.
 
         Args:
-            which: `[B]` the replays that begin; the others go on.
+            which: `[B]` bool, the replays that begin; the others go on.
             params: `[B]`-batched parameters of all replays from now on.
         """
         self.params = params
         low, high = np.asarray(self.records.span, float)
         most = np.sum(((high - low)[None] / params.sigma) ** 2, axis=1) / (2 * np.log(2))
+        # LOWEST − 1 is below the exponent of every probability but 0: then only 0 may be dropped.
         limit = np.maximum(-RETURN_AFTER * most - MARGIN, LOWEST - 1)
         self.droppable = limit.astype(np.int32)
         command = self._run(0, self._steps(0).begin, which, params)
@@ -106,14 +113,14 @@ class Tracker:
         """Update beliefs with an observation each, and predict.
 
         Args:
-            z: `[B, n_s]` Z_t; NaN marks a missing sensor.
-            which: `[B]` the replays that observe; the others stay as they are.
+            z: `[B, n_s]` Z_t in the sensors' units; NaN marks a missing sensor.
+            which: `[B]` bool, the replays that observe; the others stay as they are.
 
         Returns:
             log p(Z_t | Z_{1:t−1}) and p(τ in the last 10 samples), each `[B]`; 0 for the others.
         """
         z = np.asarray(self.records.centre(z))
-        log_evidence, ended = np.zeros((2, len(which)))
+        log_evidence, end_probability = np.zeros((2, len(which)))
         last = len(self.windows) - 1
         for k in range(last + 1):
             now = which & (self.window == k)
@@ -130,10 +137,10 @@ class Tracker:
             self._record_dropped(now, results.dropped)
             self.command[now] = results.command[now]
             log_evidence[now] = results.log_evidence[now]
-            ended[now] = results.end_probability[now]
+            end_probability[now] = results.end_probability[now]
         self._observed[which] += 1
         self._narrow(which & (self._observed % NARROW_EVERY == 0))
-        return log_evidence, ended
+        return log_evidence, end_probability
 
     def belief(self, b: int) -> Belief:
         """Return the belief of replay b, as predicted for its next step."""
@@ -146,13 +153,17 @@ class Tracker:
         last = len(self.windows) - 1
 
         def compile_for(k: int) -> None:
-            _lane_of(self._room(k), 0)
+            _lane_of(self._empty_beliefs(k), 0)
             compiled = self._steps(k)
-            self._call(compiled.observe, self._room(k), nobody, self.params, z, self.droppable)
+            self._call(
+                compiled.observe, self._empty_beliefs(k), nobody, self.params, z, self.droppable
+            )
             for neighbour in {max(k - 1, 0), min(k + 1, last)} - {k}:
-                self._call(compiled.move, self._room(k), nobody, self._room(neighbour))
+                self._call(
+                    compiled.move, self._empty_beliefs(k), nobody, self._empty_beliefs(neighbour)
+                )
 
-        self._call(self._steps(0).begin, self._room(0), nobody, self.params)
+        self._call(self._steps(0).begin, self._empty_beliefs(0), nobody, self.params)
         with ThreadPoolExecutor(cores()) as threads:
             list(threads.map(compile_for, range(last + 1)))
 
@@ -162,7 +173,7 @@ class Tracker:
             if now.any():
                 move = self._steps(k - 1).move
                 dropped = np.asarray(self._run(k - 1, move, now, self._beliefs[k]))
-                now &= dropped <= self.droppable - 4
+                now &= dropped <= self.droppable - NARROW_MARGIN
                 self.window[now] -= 1
                 self._record_dropped(now, dropped)
 
@@ -174,10 +185,10 @@ class Tracker:
         return steps(self.jump, self.windows[k])
 
     def _run(self, k: int, step: Any, which: np.ndarray, first: Any, *rest: Any) -> Any:
-        """Run a step on beliefs in window k, for the replays marked; return its results."""
+        """Run a step on beliefs in window k, for the replays in `which`; return its results."""
         beliefs = self._beliefs[k]
         if beliefs is None:
-            beliefs = self._room(k)
+            beliefs = self._empty_beliefs(k)
         self._beliefs[k], results = self._call(step, beliefs, which, first, *rest)
         return results
 
@@ -185,7 +196,7 @@ class Tracker:
         chosen = np.argsort(~which, kind="stable").astype(np.int32)
         return step(self._centred, first, beliefs, chosen, which.sum(), *rest)
 
-    def _room(self, k: int) -> Belief:
+    def _empty_beliefs(self, k: int) -> Belief:
         """Return memory for the beliefs of all replays in window k."""
         shapes = jax.eval_shape(build_filter(self.jump, self.windows[k]).init, self._centred)
         return jax.tree.map(lambda x: jnp.zeros((len(self.window), *x.shape), x.dtype), shapes)

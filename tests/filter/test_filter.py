@@ -211,5 +211,5 @@ def test_sigma_of_another_shape_is_an_error():
 def test_a_filter_must_be_one_of_the_two_readings_with_a_window_that_can_move():
     with pytest.raises(ValueError, match="same_tau, own_tau; got 'both'"):
         build_filter("both")
-    with pytest.raises(ValueError, match="at least 32 moments; got 31"):
+    with pytest.raises(ValueError, match="at least 32 samples; got 31"):
         build_filter(window=31)

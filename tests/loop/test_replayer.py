@@ -136,5 +136,5 @@ def test_near_values_have_no_offset():
 
 def test_what_float32_cannot_hold_is_warned_of():
     records = Records.from_sequences([np.linspace(0, 1e5, 50)[:, None]], [np.zeros((50, 1))])
-    with pytest.warns(UserWarning, match="z0 reaches 1000000 σ"):
+    with pytest.warns(UserWarning, match="z0 has values 1000000 σ from 0, where float32"):
         live.check_fit(records, Params(*THETA, [0.1]))

@@ -21,7 +21,13 @@ def measured_only(records: Records, z: jax.Array) -> tuple[jax.Array, jax.Array]
 
 
 def log_density(params: Params, z: jax.Array, point: jax.Array) -> jax.Array:
-    """Return log N(z; point, σ²), summed over the measured sensors: a scalar, always finite."""
+    """Return log N(z; point, σ²), summed over the measured sensors: a scalar, always finite.
+
+    Args:
+        params: σ is used.
+        z: `[n_s]` the centred observation; NaN for a missing sensor.
+        point: `[n_s]` any point, centred, in the sensors' units.
+    """
     measured = ~jnp.isnan(z)
     farthest = jnp.sqrt(jnp.finfo(z.dtype).max) / len(z)  # so that the sum of squares is finite
     distance = (jnp.where(measured, z, point) - point) / params.sigma
@@ -33,9 +39,9 @@ def log_density(params: Params, z: jax.Array, point: jax.Array) -> jax.Array:
 def anchor_point(records: Records, params: Params, belief: Scaled, z: jax.Array) -> jax.Array:
     """Choose the anchor for an observation.
 
-    It is the observation, clipped to the range of each sensor in the records, as long as every
-    density relative to it fits an exponent. Farther away (thousands of σ) it is the point closest
-    to z on the segments of the state that equation 9 will favour.
+    It is the observation, clipped to the range of each sensor in the records, as long as log2 of
+    every density relative to it exceeds `LOWEST` / n_s. Farther away (thousands of σ) it is the
+    point closest to z on the segments of the state that equation 9 will favour.
 
     Args:
         records: N records, centred.
@@ -44,7 +50,7 @@ def anchor_point(records: Records, params: Params, belief: Scaled, z: jax.Array)
         z: `[n_s]` the centred observation; NaN for a missing sensor.
 
     Returns:
-        `[n_s]` a point in the sensors' units.
+        `[n_s]` a point, centred, in the sensors' units.
     """
     z, measured = measured_only(records, z)
     low, high = records.span
@@ -52,6 +58,7 @@ def anchor_point(records: Records, params: Params, belief: Scaled, z: jax.Array)
     reach, beyond = (
         jnp.minimum(x / params.sigma, FARTHEST) for x in (high - low, jnp.abs(z - point))
     )
+    # log2 of the largest ratio of two densities: ((beyond + reach)² − beyond²) / (2 ln 2).
     bits = HALF_LOG2_E * jnp.where(measured, reach * (reach + 2 * beyond), 0.0)
     near = jnp.max(bits) < -LOWEST // records.n_sensors
     arguments = (records, params.sigma, z, measured, belief)

@@ -25,7 +25,12 @@ def two_product(a: jax.Array, b: jax.Array) -> TwoFloats:
 
 
 def two_quotient(dividend: float, divisor: TwoFloats) -> TwoFloats:
-    """Return a constant divided by a number of two floats, as two floats."""
+    """Return dividend / divisor as a float and its rounding error.
+
+    Args:
+        dividend: a constant; its rounding error in the working precision is taken into account.
+        divisor: any number, as two floats.
+    """
     high, low = divisor
     top = jnp.asarray(dividend, high.dtype)
     top_low = float(dividend - np.asarray(dividend, high.dtype).astype(np.float64))

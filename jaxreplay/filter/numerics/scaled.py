@@ -30,7 +30,7 @@ _EXP2 = {  # polynomials for 2^x, |x| ≤ ½: relative error 1e-9 (float32), 1e-
     np.dtype(dtype): fit(lambda x: 2 ** (x / 2), degree) * 2.0 ** np.arange(degree, -1, -1)
     for dtype, degree in ((np.float32, 6), (np.float64, 12))
 }
-_ROOM = 12  # a mantissa that is not normalised is within 2^±12
+_ROOM = 12  # mantissas that are not in [1, 2) are within 2^±12
 
 
 @partial(jax.tree_util.register_dataclass, data_fields=["mantissa", "exponent"], meta_fields=[])
@@ -76,7 +76,7 @@ class Scaled:
         return Scaled(mantissa, jnp.where(condition, self.exponent, ZERO[1]))
 
     def value(self) -> jax.Array:
-        """Return floats; numbers below 2^-126 become 0."""
+        """Return floats; numbers below the smallest normal float become 0."""
         return self.at(0)
 
     def log(self) -> jax.Array:
@@ -99,7 +99,10 @@ def scaled(mantissa: jax.Array, exponent: jax.Array | int = 0) -> Scaled:
 
 
 def exp2(x: jax.Array, rest: jax.Array, near: jax.Array) -> jax.Array:
-    """Return 2^(x + rest − near) for an integer near x, the low part `rest` of x kept apart."""
+    """Return 2^(x + rest − near), clipped to 2^±12.
+
+    `x` and `rest` are the two floats of one number, and `near` is an integer close to it.
+    """
     integer, bits, bias = _LAYOUT[x.dtype]
     x = jnp.clip((x - near.astype(x.dtype)) + rest, -_ROOM, _ROOM)
     whole = jnp.round(jax.lax.stop_gradient(x))
@@ -127,7 +130,10 @@ def less(a: Scaled, b: Scaled) -> jax.Array:
 
 
 def product(numbers: Scaled) -> Scaled:
-    """Return the product along axis 0; mantissas within 2^±12 give some within 2^±96."""
+    """Return the product along axis 0.
+
+    For factors with mantissas within 2^±12 the product's is within 2^±96, not in [1, 2).
+    """
     while True:
         n = len(numbers.mantissa)
         eights = [numbers[i : i + 8] for i in range(0, n, 8)]
