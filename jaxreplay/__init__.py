@@ -18,19 +18,39 @@ if TYPE_CHECKING:
     from jaxreplay.loop.replay import replay as replay
     from jaxreplay.loop.replayer import Replayer as Replayer
     from jaxreplay.params import Params as Params
+    from jaxreplay.pictures import plot as plot
+    from jaxreplay.pictures import plot_map as plot_map
+    from jaxreplay.pictures import plot_records as plot_records
+    from jaxreplay.pictures import watch as watch
+    from jaxreplay.plane.params import PlaneParams as PlaneParams
+    from jaxreplay.recordings.inspect import inspect as inspect
+    from jaxreplay.recordings.tune import tune as tune
     from jaxreplay.records import Records as Records
+    from jaxreplay.study.config import StudyConfig as StudyConfig
+    from jaxreplay.study.config import load_config as load_config
     from jaxreplay.study.open import open_study as open_study
+    from jaxreplay.study.run import run_study as run_study
 
 _HOME = {  # of each public name; loaded on first use, as JAX alone takes half a second
     "Belief": "jaxreplay.filter",
     "Filter": "jaxreplay.filter",
     "Params": "jaxreplay.params",
+    "PlaneParams": "jaxreplay.plane.params",
     "Records": "jaxreplay.records",
     "Replayer": "jaxreplay.loop.replayer",
+    "StudyConfig": "jaxreplay.study.config",
     "build_filter": "jaxreplay.filter",
+    "inspect": "jaxreplay.recordings.inspect",
+    "load_config": "jaxreplay.study.config",
     "log_evidence": "jaxreplay.filter.evidence",
     "open_study": "jaxreplay.study.open",
+    "plot": "jaxreplay.pictures",
+    "plot_map": "jaxreplay.pictures",
+    "plot_records": "jaxreplay.pictures",
     "replay": "jaxreplay.loop.replay",
+    "run_study": "jaxreplay.study.run",
+    "tune": "jaxreplay.recordings.tune",
+    "watch": "jaxreplay.pictures",
 }
 
 __all__ = list(_HOME)  # pyright: ignore[reportUnsupportedDunderAll]

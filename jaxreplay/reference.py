@@ -178,7 +178,7 @@ def predict_own_tau(sensors: Sequences, params: Params, belief: np.ndarray) -> n
 
 
 def predict(
-    sensors: Sequences, params: Params, belief: np.ndarray, jump: str = "same_tau"
+    sensors: Sequences, params: Params, belief: np.ndarray, jump: str = "own_tau"
 ) -> np.ndarray:
     """Compute equation 6 in the reading named by `jump`: `"same_tau"` or `"own_tau"`."""
     readings = {"same_tau": predict_same_tau, "own_tau": predict_own_tau}

@@ -9,8 +9,10 @@ import gymnasium
 import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode
+from study_helpers import made_up_study, write
 
 import jaxreplay as jr
+from jaxreplay.errors import ConfigError
 
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "jaxreplay"
@@ -33,9 +35,19 @@ MAY_IMPORT = {
     "plane": {"errors"},
     "recordings": GROUND | {"records", "params", "filter", "loop"},
     "study": GROUND | {"records", "params", "filter", "loop", "plane", "recordings"},
+    "pictures": {"records", "recordings", "study", "figures"},
     "figures": {"records", "params", "plane", "recordings", "study.dataset"},
     "cli": GROUND | {"params", "records", "recordings", "study", "figures"},
-    "": {"filter", "loop", "plane", "params", "records", "study"},  # the public names
+    "": {
+        "filter",
+        "loop",
+        "plane",
+        "params",
+        "records",
+        "recordings",
+        "study",
+        "pictures",
+    },  # the public names
     "__main__": {"cli"},
 }
 
@@ -131,7 +143,24 @@ def call_each(folder):
     called["replay"] = jr.replay(seen, batch, env, [0])
     with pytest.raises(FileNotFoundError):
         called["open_study"] = jr.open_study(folder)
-    return {*called, "open_study"}
+    called["PlaneParams"] = jr.PlaneParams()
+    called["StudyConfig"] = config = jr.StudyConfig({"theta_i": [0.1]})
+    file = write(folder, "theta_i = 0.1")
+    if not (folder / "study").exists():
+        made_up_study(file, folder / "study")
+    called["load_config"] = jr.load_config(file)
+    with pytest.raises(FileExistsError):
+        called["run_study"] = jr.run_study(config, file)  # not a folder
+    called["inspect"] = jr.inspect(records)
+    with pytest.raises(ValueError, match="no command ever changes"):
+        called["tune"] = jr.tune(seen)
+    called["plot"] = jr.plot(folder / "study")
+    called["plot_map"] = jr.plot_map(jr.open_study(folder / "study"))
+    called["plot_records"] = jr.plot_records(records)
+    with pytest.raises(ConfigError, match="15 runs"):
+        called["watch"] = jr.watch(folder / "study", 15)
+    assert called["plot"]._repr_png_().startswith(b"\x89PNG")
+    return {*called, "open_study", "run_study", "tune", "watch"}
 
 
 def test_public_names_can_be_called_after_any_import(tmp_path):

@@ -11,7 +11,7 @@ import warnings
 from collections.abc import Sequence
 from io import TextIOWrapper
 
-from jaxreplay.cli import inspect, plot, run, show, tune, watch
+from jaxreplay.cli import inspect, list, new, plot, run, show, tune, watch
 from jaxreplay.errors import ConfigError
 
 DONE, MISTAKE, INTERRUPTED = 0, 2, 130
@@ -19,11 +19,15 @@ DONE, MISTAKE, INTERRUPTED = 0, 2, 130
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line, and return the exit status."""
-    options = _parser().parse_args(arguments)
     # Better a table with ? for θ, where the encoding has none, than no table.
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, TextIOWrapper):
             stream.reconfigure(errors="replace")
+    parser = _parser()
+    options = parser.parse_args(arguments)
+    if options.action is None:
+        parser.print_help()
+        return DONE
     try:
         with warnings.catch_warnings():
             warnings.showwarning = _warn
@@ -51,10 +55,25 @@ def _parser() -> argparse.ArgumentParser:
         description="Replay recorded demonstrations with a Bayesian filter: run parameter studies "
         "in simulation, inspect recordings, tune θ_I, θ_τ and σ.",
     )
-    commands = parser.add_subparsers(required=True, metavar="command")
-    for command in (run, show, plot, watch, tune, inspect):
+    parser.add_argument("--version", action=_Version)
+    parser.set_defaults(action=None)
+    commands = parser.add_subparsers(metavar="command")
+    for command in (new, run, list, show, plot, watch, tune, inspect):
         command.add_to(commands)
     return parser
+
+
+class _Version(argparse.Action):
+    """Print the installed version, which is looked up only when asked for."""
+
+    def __init__(self, option_strings: Sequence[str], dest: str):
+        super().__init__(option_strings, dest, nargs=0, help="print the version")
+
+    def __call__(self, parser: argparse.ArgumentParser, *_) -> None:
+        from importlib.metadata import version
+
+        print(f"jaxreplay {version('jaxreplay')}")
+        parser.exit(DONE)
 
 
 def _warn(message: Warning | str, *_) -> None:

@@ -39,5 +39,5 @@ def _inspect(options: argparse.Namespace) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     inspection = inspect(records)
     print(report(inspection))
-    inspection_figure(records, inspection, path)
+    inspection_figure(records, inspection).savefig(path)
     print(path)

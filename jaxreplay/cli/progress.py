@@ -10,37 +10,46 @@ from jaxreplay.study.dataset import OUTCOMES
 
 
 class Progress:
-    """Shows the progress of a study: a bar on a terminal, else a line for every tenth of the runs.
+    """Shows the progress of a study: a bar on a terminal, else a line for every tenth of the work.
+
+    Work is counted in simulated seconds, since runs that advance together end together. A run that
+    has not ended is expected to last as long as the mean of those ended; while there are none, as
+    long as it may.
 
     An instance is called as `run_study` calls its `progress`.
     """
 
-    def __init__(self, total: int):
-        """Begin to show the progress of `total` runs."""
-        self._total, self._began, self._shown = total, None, 0
-        self._bar = tqdm(
-            total=total,
-            bar_format="{n} of {total} runs [{elapsed}<{remaining}]{postfix}",
-            disable=None,
-        )
+    def __init__(self, total: int, time_limit: float):
+        """Begin to show the progress of `total` runs that last at most `time_limit` seconds."""
+        self._total, self._time_limit = total, time_limit
+        self._began, self._share, self._shown = None, 0.0, 0
+        self._bar = tqdm(total=1.0, bar_format="{percentage:3.0f} %|{bar:20}|{desc}", disable=None)
 
     def __call__(self, outcome: np.ndarray, duration: np.ndarray) -> None:
         """Show the outcomes so far, empty for runs not ended, and the runs' seconds."""
-        done = int(np.sum(outcome != ""))
-        simulated, now = float(duration.sum()), time.monotonic()
+        ended, now = outcome != "", time.monotonic()
+        done, simulated = int(ended.sum()), float(duration.sum())
+        expected = _expected(ended, duration, self._time_limit)
+        share = 1.0 if done == self._total else min(simulated / expected, 0.999)
+        self._share = max(self._share, share)  # an estimate that rises does not undo work
         if self._began is None:  # runs of an earlier call count as done, but not for the speed
-            self._began = now, simulated
-            self._bar.initial, self._shown = done, 10 * done // self._total
+            self._began, self._shown = (now, simulated), int(10 * self._share)
         since, already = self._began
-        counts = ", ".join(f"{name} {np.sum(outcome == name)}" for name in OUTCOMES)
         rate = (simulated - already) / max(now - since, 1e-9)
-        line = f"{counts}; {rate:.0f} simulated s a second"
-        self._bar.n = done
-        self._bar.set_postfix_str(line, refresh=False)
+        left = tqdm.format_interval((expected - simulated) / rate) if rate > 0 else "?"
+        counts = ", ".join(f"{name} {np.sum(outcome == name)}" for name in OUTCOMES)
+        line = f"{done} of {self._total} runs, {left} left: {counts}; {rate:.0f} simulated s/s"
+        self._bar.n = self._share
+        self._bar.set_description_str(f" {line}", refresh=False)
         self._bar.update(0)
-        if self._bar.disable and 10 * done // self._total > self._shown:
-            self._shown = 10 * done // self._total
-            left = (now - since) * (self._total - done) / max(done - self._bar.initial, 1)
-            print(f"{done} of {self._total} runs: {line}, {left:.0f} s left", file=sys.stderr)
+        if self._bar.disable and int(10 * self._share) > self._shown:
+            self._shown = int(10 * self._share)
+            print(f"{100 * self._share:.0f} %: {line}", file=sys.stderr)
         if done == self._total:
             self._bar.close()
+
+
+def _expected(ended: np.ndarray, duration: np.ndarray, time_limit: float) -> float:
+    """Return the seconds that all runs are expected to last, from those that have ended."""
+    usual = duration[ended].mean() if ended.any() else time_limit
+    return float(np.where(ended, duration, np.maximum(duration, usual)).sum())

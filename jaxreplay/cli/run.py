@@ -10,6 +10,7 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
 from jaxreplay.cli.arguments import Commands, count
+from jaxreplay.cli.new import check_file
 from jaxreplay.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -72,6 +73,7 @@ def _run(options: argparse.Namespace) -> None:
     from jaxreplay.study.runs import runs_of, shard_size, shards_of
     from jaxreplay.study.store import check_format
 
+    check_file(options.file)
     keep_compiled()
     tuned = tuned_changes(options.params) if options.params else []
     config = load_config(options.file, tuned + options.changes)
@@ -87,14 +89,15 @@ def _run(options: argparse.Namespace) -> None:
         return
     try:
         with _workers(options) as workers:
-            dataset = run_study(config, folder, Progress(len(runs)), workers)
+            dataset = run_study(
+                config, folder, Progress(len(runs), config.plane.time_limit), workers
+            )
     except KeyboardInterrupt:
         raise KeyboardInterrupt(
             "finished shards are kept; run the same command again to continue"
         ) from None
-    drawn = draw(dataset, folder)
-    print(table(dataset))
-    print(f"{folder}: the study, {drawn}")
+    print(table(dataset), flush=True)  # drawing takes seconds
+    print(f"{folder}: the study, {draw(dataset, folder)}")
 
 
 def _count(n: int, what: str) -> str:

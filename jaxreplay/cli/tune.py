@@ -1,6 +1,7 @@
 """`jaxreplay tune RECORDS`: choose parameters from records alone."""
 
 import argparse
+import os
 from pathlib import Path
 
 from jaxreplay.cli.arguments import Commands, count
@@ -20,9 +21,9 @@ def add_to(commands: Commands) -> None:
     parser.add_argument(
         "--jump",
         choices=("same_tau", "own_tau"),
-        default="same_tau",
+        default="own_tau",
         help="where a jump to another record lands: same_tau (equation 6 as printed: τ is kept) or "
-        "own_tau (each record keeps its own distribution over τ) (default: same_tau)",
+        "own_tau (each record keeps its own distribution over τ) (default: own_tau)",
     )
     parser.add_argument(
         "--score",
@@ -45,12 +46,13 @@ def add_to(commands: Commands) -> None:
 
 
 def _tune(options: argparse.Namespace) -> None:
+    # XLA logs as an error that compiling takes long, which is usual here. It reads the level once.
+    os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
     from tqdm import tqdm
 
     from jaxreplay.figures.tuning import tuning_figure
     from jaxreplay.machine import keep_compiled
     from jaxreplay.recordings.read import read
-    from jaxreplay.recordings.scores import default_params
     from jaxreplay.recordings.tune import save, summary, tune
 
     keep_compiled()
@@ -67,11 +69,16 @@ def _tune(options: argparse.Namespace) -> None:
             bar.update(done - bar.n)
 
         try:
-            start = default_params(records)
-            tuned = tune(records, start, options.jump, options.score, options.steps, progress)
+            tuned = tune(
+                records,
+                jump=options.jump,
+                score=options.score,
+                steps=options.steps,
+                progress=progress,
+            )
         except ValueError as error:
             raise ConfigError(f"{options.records}: {error}") from None
     print(summary(records, tuned))
     save(records, tuned, options.records, path)
-    tuning_figure(records, tuned, path.with_suffix(".png"))
+    tuning_figure(records, tuned).savefig(path.with_suffix(".png"))
     print(f"{path}: the parameters; {path.with_suffix('.png')}: the figure")

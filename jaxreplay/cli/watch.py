@@ -1,14 +1,14 @@
 """`jaxreplay watch`: do one run of a study again, and save an animation of it."""
 
 import argparse
+import re
+import tomllib
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
 from jaxreplay.cli.arguments import Commands, opened, speed
+from jaxreplay.cli.new import check_file
 from jaxreplay.errors import ConfigError
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 
 def add_to(commands: Commands) -> None:
@@ -25,9 +25,10 @@ def add_to(commands: Commands) -> None:
         "--run",
         default="0",
         metavar="RUN",
-        help="index of the run from 0, in the order of the file's axes, then positions, then "
-        "repeats; or, of a folder, the first with an outcome (S, Fs, Fg, Fb) or a stall (fixed, "
-        "cyclic, slow)",
+        help="the run's factors, position and repeat, such as "
+        "jump=own_tau,theta_i=0.01,position=0,repeat=2; or its index from 0, in the order of the "
+        "file's axes, then positions, then repeats; or, of a folder, the first with an outcome (S, "
+        "Fs, Fg, Fb) or a stall (fixed, cyclic, slow)",
     )
     parser.add_argument("--speed", type=speed, default=4.0, help="times real time (default: 4)")
     parser.add_argument(
@@ -43,15 +44,15 @@ def add_to(commands: Commands) -> None:
 def _watch(options: argparse.Namespace) -> None:
     from tqdm import tqdm
 
-    from jaxreplay.figures.animation import animate, title
+    from jaxreplay.figures.animation import animate, still, title
     from jaxreplay.machine import keep_compiled
-    from jaxreplay.study.again import run_again
+    from jaxreplay.study.again import find_run, run_again
     from jaxreplay.study.config import load_config
     from jaxreplay.study.demonstrations import demonstrations
     from jaxreplay.study.open import config_of
-    from jaxreplay.study.runs import runs_of
     from jaxreplay.study.store import check_format
 
+    check_file(options.study)
     keep_compiled()
     if options.study.is_dir():
         folder, dataset = options.study, opened(options.study)
@@ -60,8 +61,9 @@ def _watch(options: argparse.Namespace) -> None:
     else:
         folder, dataset = Path("results") / options.study.stem, None
         config = load_config(options.study)
-    k = _number(options.run, len(runs_of(config)), dataset)
-    path = options.out or folder / f"run_{options.run}.gif"
+    named = parse_run(options.run)
+    k = find_run(config, named, dataset)
+    path = options.out or folder / f"run_{k if isinstance(named, dict) else named}.gif"
     if path.suffix not in (".gif", ".png"):
         raise ConfigError(f"--out {path}: its name must end in .gif, or in .png for a still")
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -72,27 +74,31 @@ def _watch(options: argparse.Namespace) -> None:
             bar.total = total
             bar.update(done - bar.n)
 
-        animate(run, path, options.speed, progress)
+        if path.suffix == ".gif":
+            animate(run, options.speed, progress).save(path)
+        else:
+            still(run).save(path)
     print(title(run))
     print(path)
 
 
-def _number(run: str, total: int, dataset: "xr.Dataset | None") -> int:
-    """Return the number of the run that `--run` names."""
-    import numpy as np
+def parse_run(text: str) -> int | str | dict[str, Any]:
+    """Return what `--run` names a run by: an index, a word, or values by name.
 
-    from jaxreplay.study.dataset import OUTCOMES, STALLS
-
-    if run.isdecimal():
-        if int(run) >= total:
-            raise ConfigError(f"--run {run}: the study has {total} runs; give 0 to {total - 1}")
-        return int(run)
-    if run not in (*OUTCOMES, *STALLS):
-        names = ", ".join((*OUTCOMES, *STALLS))
-        raise ConfigError(f"--run {run}: give a run's number, or one of {names}")
-    if dataset is None:
-        raise ConfigError(f"--run {run}: a TOML file has no outcomes yet; give a study's folder")
-    found = np.flatnonzero((dataset.outcome.values == run) | (dataset.stall.values == run))
-    if len(found) == 0:
-        raise ConfigError(f"--run {run}: no run of this study ended so")
-    return int(found[0])
+    The values of `"jump=own_tau,theta_i=0.01"` are read as in a study's file; what is not TOML
+    there is a word without its quotes.
+    """
+    if text.isdecimal():
+        return int(text)
+    if "=" not in text:
+        return text
+    named = {}
+    for part in re.split(r",(?=\s*\w+\s*=)", text):  # not the commas of a list
+        name, equals, value = part.partition("=")
+        if not equals or not name.strip() or not value.strip():
+            raise ConfigError(f"--run {text}: give NAME=VALUE, such as theta_i=0.01,position=0")
+        try:
+            named[name.strip()] = tomllib.loads(f"value = {value}")["value"]
+        except tomllib.TOMLDecodeError:
+            named[name.strip()] = value.strip()
+    return named

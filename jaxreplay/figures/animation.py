@@ -1,8 +1,11 @@
 """An animation of one run: the plane, the belief, sensors and commands."""
 
+from base64 import b64encode
 from collections.abc import Callable
+from io import BytesIO
 from pathlib import Path
-from typing import Any
+from textwrap import fill
+from typing import Any, NamedTuple
 
 import matplotlib
 import numpy as np
@@ -31,45 +34,83 @@ Styles = tuple[tuple[str, dict[str, Any]], ...]  # a label and a line's style ea
 
 def title(run: Trace) -> str:
     """Return two lines: how the run ended, and which run it is."""
+    return f"{ending(run)}\n{which(run)}"
+
+
+def ending(run: Trace) -> str:
+    """Return how a run ended."""
     ended = f"{run.outcome}{f' ({run.stall})' if run.stall else ''}"
     if run.outcome == "S":
         ended += f", error {1e3 * run.alignment_error:.1f} mm"
+    return ended
+
+
+def which(run: Trace) -> str:
+    """Return which run of a study it is: the factors' values, position and repeat."""
     values = [f"{symbol} {short(value)}" for symbol, value in run.values.items()]
-    return f"{ended}\n{', '.join(values)}; position {run.position}, repeat {run.repeat}"
+    return f"{', '.join(values)}; position {run.position}, repeat {run.repeat}"
+
+
+class Animation(NamedTuple):
+    """An animation, which a notebook shows.
+
+    Attributes:
+        frames: pictures with one palette.
+        durations: of the frames, ms.
+    """
+
+    frames: list[Image.Image]
+    durations: list[float]
+
+    def save(self, path: str | Path | BytesIO) -> None:
+        """Save the animation as a GIF, repeated without end."""
+        first, *others = self.frames
+        first.save(
+            path, "GIF", save_all=True, append_images=others, duration=self.durations, loop=0
+        )
+
+    def _repr_html_(self) -> str:
+        file = BytesIO()
+        self.save(file)
+        return f'<img src="data:image/gif;base64,{b64encode(file.getvalue()).decode()}">'
 
 
 def animate(
-    run: Trace,
-    path: Path,
-    speed: float,
-    progress: Callable[[int, int], None] = lambda done, total: None,
-) -> None:
-    """Save a run as an animation (GIF), or its last step as a still (PNG).
+    run: Trace, speed: float, progress: Callable[[int, int], None] = lambda done, total: None
+) -> Animation:
+    """Return an animation of a run.
 
     Args:
         run: the run.
-        path: of the animation, `.gif`, or of the still, `.png`.
-        speed: of the animation, as a multiple of real time.
+        speed: as a multiple of real time.
         progress: called after each frame with the frames done and their total.
     """
-    steps = frames(len(run.commands), speed)[-1 if path.suffix == ".png" else 0 :]
-    view = View(run)
-    pictures = []
-    for t in steps:
+    steps = frames(len(run.commands), speed, run.plane.control_period)
+    view, pictures = View(run), []
+
+    def shown(t: int) -> Image.Image:
         view.show(t)
-        pictures.append(view.picture())
+        return view.picture()
+
+    # All frames have the colours of a few, so that no colour changes as it plays.
+    few = [np.asarray(shown(steps[k * (len(steps) - 1) // 3])) for k in range(4)]
+    palette = Image.fromarray(np.vstack(few)).quantize(256, Image.Quantize.MAXCOVERAGE)
+    for t in steps:
+        pictures.append(shown(t).quantize(palette=palette, dither=Image.Dither.NONE))
         progress(len(pictures), len(steps))
-    first, *others = pictures
-    if path.suffix == ".png":
-        first.save(path)
-        return
-    durations = [1000 / FRAMES] * len(others) + [1000 * HOLD]  # ms
-    first.save(path, save_all=True, append_images=others, duration=durations, loop=0)
+    return Animation(pictures, [1000 / FRAMES] * (len(pictures) - 1) + [1000 * HOLD])
 
 
-def frames(steps: int, speed: float) -> list[int]:
-    """Return the indices of the steps to show, of `steps`; the last is always among them."""
-    apart = speed / FRAMES / PlaneParams().control_period
+def still(run: Trace) -> Image.Image:
+    """Return a picture of the last step of a run, in all its colours."""
+    view = View(run)
+    view.show(len(run.commands) - 1)
+    return view.picture()
+
+
+def frames(steps: int, speed: float, period: float) -> list[int]:
+    """Return the indices of the steps to show, `period` s apart; the last is always among them."""
+    apart = speed / FRAMES / period
     shown = np.arange(0, steps - 1, apart).astype(int)
     return [*dict.fromkeys(shown.tolist()), steps - 1]
 
@@ -80,16 +121,16 @@ class View:
     def __init__(self, run: Trace):
         """Draw what is the same in all steps."""
         self.run = run
-        self.period = PlaneParams().control_period
+        self.period = run.plane.control_period
         n_steps, n_records, longest = run.beliefs.shape
         with matplotlib.rc_context(
             {"font.size": 8, "axes.titlesize": 8, "axes.titlelocation": "left"}
         ):
-            self.figure = Figure(figsize=(11, 5.4), dpi=80, layout="constrained")
+            self.figure = Figure(figsize=(11, 5.4), dpi=120, layout="constrained")
             self.canvas = FigureCanvasAgg(self.figure)
             grid = GridSpec(3, 2, figure=self.figure, height_ratios=(1.3, 1.3, 1))
-            self.figure.suptitle(title(run), fontsize=9)
-            self.scene = Scene(plane := self.figure.add_subplot(grid[:2, 0]), PlaneParams())
+            self.figure.suptitle(fill(which(run), 150), fontsize=9)
+            self.scene = Scene(plane := self.figure.add_subplot(grid[:2, 0]), run.plane)
             self.clock = plane.set_title("0.0 s")
             times = self.period * n_steps
             self.now = self._map(
@@ -105,8 +146,11 @@ class View:
             )
             self.stripes = run.beliefs.sum(axis=2).T
             self.lines: list[tuple[Line2D, np.ndarray]] = []
-            self._curves(grid[2, 0], run.observations, _SENSORS, "sensors", times)
-            self._curves(grid[2, 1], _scaled(run.commands), _COMMANDS, _SCALES, times)
+            self._curves(
+                grid[2, 0], _shares(run.observations), _SENSORS,
+                "sensors, each from its lowest to its highest value in the run", times,
+            )  # fmt: skip
+            self._curves(grid[2, 1], _scaled(run.plane, run.commands), _COMMANDS, _SCALES, times)
         # The background, all that does not change, is drawn once: a picture takes 35 ms, not 250.
         self.moving: list[Artist] = [*self.scene.artists, self.clock, self.now, *self.ends]
         self.moving.append(self.past)
@@ -124,7 +168,7 @@ class View:
         """Add an empty map of records by time, `shape` (columns, records), `width` s wide."""
         axes = self.figure.add_subplot(where)
         axes.set_title(title)
-        axes.set_xlabel(label, labelpad=1)
+        axes.set_xlabel(label, labelpad=3)
         axes.set_ylabel("record I")
         return axes.imshow(
             np.zeros(shape[::-1]), aspect="auto", cmap="Greys", vmin=0, vmax=1, origin="lower",
@@ -137,9 +181,9 @@ class View:
         """Add a panel of curves up to the time `end`, for the columns of values `[T, n]`."""
         axes = self.figure.add_subplot(where)
         axes.set_xlim(0, end)
-        axes.set_ylim(-1.1, 1.1)
+        axes.set_ylim(min(0, values.min()) - 0.1, 1.1)
         axes.set_title(title)
-        axes.set_xlabel("time, s", labelpad=1)
+        axes.set_xlabel("time, s", labelpad=3)
         # Not strict: the last style is the light's, a sensor that most studies do not have.
         for curve, (label, style) in zip(values.T, styles, strict=False):
             (line,) = axes.plot([], [], lw=1.2, label=label, **style)
@@ -154,7 +198,8 @@ class View:
         run, at = self.run, slice(t, t + 1)
         pose = Pose(run.robot[at], run.cube[at], run.elevation[at], run.tilt[at])
         self.scene.update(pose, bool(run.held[t]), run.robot[: t + 1, :2])
-        self.clock.set_text(f"{(t + 1) * self.period:.1f} s")
+        clock = f"{(t + 1) * self.period:.1f} s"
+        self.clock.set_text(f"{clock}: {ending(run)}" if t + 1 == len(run.commands) else clock)
         n, longest = run.beliefs[t].shape
         whole = longest // _BIN * _BIN
         self.now.set_data(run.beliefs[t, :, :whole].reshape(n, -1, _BIN).sum(axis=2) ** 0.25)
@@ -169,7 +214,7 @@ class View:
         self.canvas.restore_region(self.background)
         for artist in self.moving:
             self.figure.draw_artist(artist)
-        return Image.fromarray(np.asarray(self.canvas.buffer_rgba())[..., :3]).quantize(128)
+        return Image.fromarray(np.asarray(self.canvas.buffer_rgba())[..., :3])
 
 
 _SENSORS: Styles = (
@@ -187,9 +232,14 @@ _COMMANDS: Styles = (
 _SCALES = "commands (tracks in units of 5 cm/s; gripper as a share of its travel)"
 
 
-def _scaled(commands: np.ndarray) -> np.ndarray:
+def _shares(values: np.ndarray) -> np.ndarray:
+    """Return columns `[T, n]` as shares of their ranges; a constant one is 0.5."""
+    low, span = values.min(axis=0), np.ptp(values, axis=0)
+    return np.where(span > 0, (values - low) / np.where(span > 0, span, 1), 0.5)
+
+
+def _scaled(p: PlaneParams, commands: np.ndarray) -> np.ndarray:
     """Return commands `[T, 5]` as shares: of 5 cm/s for tracks, of its travel for the gripper."""
-    p = PlaneParams()
     low = np.array([0, 0, p.low, 0, 0])
     span = np.array([0.05, 0.05, p.high - p.low, p.scanning_tilt, 1])
     return (commands - low) / span

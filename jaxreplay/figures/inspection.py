@@ -1,14 +1,13 @@
 """The figure of an inspection: all records over time, with the unusual ones marked."""
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
+from jaxreplay.figures.picture import Picture
 from jaxreplay.recordings.inspect import Inspection, table_of
 from jaxreplay.records import Records
 
@@ -29,8 +28,8 @@ MARKS: tuple[dict[str, Any], ...] = tuple(
 )
 
 
-def inspection_figure(records: Records, inspection: Inspection, path: str | Path) -> None:
-    """Save a figure of records over time, 8 inches wide.
+def inspection_figure(records: Records, inspection: Inspection) -> Picture:
+    """Return a figure of records over time, 8 inches wide.
 
     The first panel shows the lengths; then each sensor and command has one, in its own units. The
     first records that findings name are marked: in the panel of the finding's column, or in all
@@ -39,7 +38,6 @@ def inspection_figure(records: Records, inspection: Inspection, path: str | Path
     Args:
         records: N records.
         inspection: of these records.
-        path: of the figure; its suffix, one of `FORMATS`, gives the format.
     """
     rows, (lengths, period, columns, findings) = table_of(records), inspection
     named = list(dict.fromkeys(i for finding in findings for i in finding.records))
@@ -47,7 +45,7 @@ def inspection_figure(records: Records, inspection: Inspection, path: str | Path
     scale, unit = (1, "rows") if period is None else (period, "s")
     used, across = len(columns) + 1, 2 if len(columns) < 6 else 3
     down = -(-used // across)
-    figure = Figure(figsize=(8, 1.45 * down + 0.5), layout="constrained")
+    figure = Picture(figsize=(8, 1.45 * down + 0.5))
     panels = figure.subplots(down, across, squeeze=False).ravel()
     _lengths(panels[0], scale * lengths, unit, marks)
     for k, (axes, column) in enumerate(zip(panels[1:], columns, strict=False)):
@@ -67,8 +65,7 @@ def inspection_figure(records: Records, inspection: Inspection, path: str | Path
             )
         axes.set_title(f"{column.kind} {column.name}", loc="left", fontsize=8)
         axes.margins(x=0.02, y=0.12)
-        if k + 1 + across >= used:
-            axes.set_xlabel("row" if period is None else "time, s", fontsize=8)
+        axes.set_xlabel("row" if period is None else "time, s", fontsize=8)
     for axes in panels[:used]:
         axes.tick_params(labelsize=7)
         axes.spines[["top", "right"]].set_visible(False)
@@ -84,7 +81,7 @@ def inspection_figure(records: Records, inspection: Inspection, path: str | Path
             handles=keys, loc="outside upper center", ncols=4, frameon=False, fontsize=8,
             handlelength=4,
         )  # fmt: skip
-    figure.savefig(path, dpi=150)
+    return figure
 
 
 def _lengths(axes: Axes, lengths: np.ndarray, unit: str, marks: dict[int, dict[str, Any]]) -> None:

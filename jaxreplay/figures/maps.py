@@ -1,29 +1,29 @@
 """Maps of success: over two factors, or over the cube's position."""
 
-from pathlib import Path
 from textwrap import fill
 
+import matplotlib
 import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
-from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from jaxreplay.figures.outcomes import label, tick_text, title
+from jaxreplay.figures.picture import Picture
 from jaxreplay.study.dataset import axes_of, cells, is_number
 
 COLUMNS = 4  # panels side by side
 COLOURS = "cividis"  # lightness grows with the value, also for colour-blind readers and in grey
 
 
-def factor_map(dataset: xr.Dataset, path: str | Path) -> None:
+@matplotlib.rc_context({"font.size": 8})
+def factor_map(dataset: xr.Dataset) -> Picture:
     """Draw success over two numeric axes, in a panel for each combination of the others.
 
     Args:
         dataset: a study with at least two numeric axes; the two with most values are drawn.
-        path: where to save it; its suffix gives the format.
     """
     dims = axes_of(dataset)
     numeric = sorted((d for d in dims if is_number(dataset, d)), key=lambda d: -dataset.sizes[d])
@@ -45,10 +45,11 @@ def factor_map(dataset: xr.Dataset, path: str | Path) -> None:
             ax.tick_params(labelleft=False)
         ax.set_title(_wrapped(figure, title(dataset, values), len(panels)), fontsize=8)
     _label_axes(figure, label(dataset, x), label(dataset, y))
-    _finish(figure, axes, panels[0][1], path)
+    return _finish(figure, axes, panels[0][1])
 
 
-def position_map(dataset: xr.Dataset, path: str | Path) -> None:
+@matplotlib.rc_context({"font.size": 8})
+def position_map(dataset: xr.Dataset) -> Picture:
     """Draw success by the cube's position, in a panel for each cell of the study.
 
     A dashed rectangle spans the demonstrated positions, if the dataset contains them: a study of a
@@ -56,7 +57,6 @@ def position_map(dataset: xr.Dataset, path: str | Path) -> None:
 
     Args:
         dataset: a study.
-        path: where to save it; its suffix gives the format.
     """
     panels = list(cells(dataset, axes_of(dataset)))
     left, ahead = 100 * dataset.cube_y.values, 100 * dataset.cube_x.values
@@ -79,7 +79,7 @@ def position_map(dataset: xr.Dataset, path: str | Path) -> None:
         handles = axes[0].get_legend_handles_labels()
         figure.legend(*handles, loc="outside upper left", frameon=False)
     _label_axes(figure, "cube, to the left of the robot's start, cm", "cube, ahead, cm")
-    _finish(figure, axes, dataset.isel(position=0), path)
+    return _finish(figure, axes, dataset.isel(position=0))
 
 
 def _demonstrated(dataset: xr.Dataset) -> Rectangle:
@@ -89,25 +89,25 @@ def _demonstrated(dataset: xr.Dataset) -> Rectangle:
     return Rectangle(corner, *size, fill=False, ls="--", label="demonstrated", zorder=0)
 
 
-def _panels(n: int, width: float, height: float) -> tuple[Figure, list[Axes]]:
+def _panels(n: int, width: float, height: float) -> tuple[Picture, list[Axes]]:
     columns = min(n, COLUMNS)
     rows = -(-n // columns)
     size = (max(columns * width, 3) + 1.2, max(rows * height, 1.8) + 0.7)
-    figure = Figure(figsize=size, layout="constrained")
+    figure = Picture(figsize=size)
     axes = figure.subplots(rows, columns, squeeze=False)
     for ax in axes.flat[n:]:
         ax.remove()
     return figure, list(axes.flat[:n])
 
 
-def _label_axes(figure: Figure, x: str, y: str):
+def _label_axes(figure: Picture, x: str, y: str):
     """Label both axes, in as many lines as needed."""
     width, height = figure.get_size_inches()
     figure.supxlabel(fill(x, int(14 * (width - 1.2))), fontsize=8)
     figure.supylabel(fill(y, int(14 * (height - 0.7))), fontsize=8)
 
 
-def _wrapped(figure: Figure, text: str, n: int) -> str:
+def _wrapped(figure: Picture, text: str, n: int) -> str:
     """Return the title of one of n panels, in as many lines as the panel's width needs."""
     width = (figure.get_size_inches()[0] - 1.2) / min(n, COLUMNS)
     return fill(text, max(int(16 * width), 12), break_long_words=False)
@@ -122,13 +122,13 @@ def _rate(runs: xr.Dataset, over=("position", "repeat")) -> xr.DataArray:
 def _number(ax: Axes, x: float, y: float, value: float):
     if np.isfinite(value):
         colour = "white" if value < 50 else "black"
-        ax.text(x, y, f"{value:.0f}", ha="center", va="center", fontsize=6, color=colour)
+        ax.text(x, y, f"{value:.0f}", ha="center", va="center", fontsize=6.5, color=colour)
 
 
-def _finish(figure: Figure, axes: list[Axes], one: xr.Dataset, path: str | Path) -> None:
-    """Add the colour bar, with the runs behind each rate, and save."""
+def _finish(figure: Picture, axes: list[Axes], one: xr.Dataset) -> Picture:
+    """Add the colour bar, with the runs behind each rate."""
     n = one.outcome.isel(dict.fromkeys(axes_of(one), 0)).size
     runs = f"{n} runs" if n > 1 else "1 run"
     colours = ScalarMappable(Normalize(0, 100), COLOURS)
     figure.colorbar(colours, ax=axes, label=f"S, % ({runs} each)", fraction=0.05)
-    figure.savefig(path, dpi=150)
+    return figure

@@ -1,15 +1,15 @@
 """The paper's figure 3, and how factors are written in figures."""
 
-from pathlib import Path
 from textwrap import fill
 from typing import Any
 
 import matplotlib
+import matplotlib.patheffects
 import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
+from jaxreplay.figures.picture import Picture
 from jaxreplay.figures.table import short, standard_error, units, wilson
 from jaxreplay.study.dataset import OUTCOMES, axes_of, cells, is_number
 
@@ -24,12 +24,12 @@ READINGS = {
     "own_tau": "own_tau: each record keeps its own distribution over τ",
 }
 STYLES = (  # variable, label, marker, colour, its face, and how far beside the tick
-    ("alignment_error", "alignment error, mm (●)", "o", "#1f4e79", "#1f4e79", -0.12),
-    ("duration", "run duration, s (□)", "s", "#b35900", "white", 0.12),
+    ("alignment_error", "alignment error, mm (●)", "o", "#1f4e79", "#1f4e79", -0.2),
+    ("duration", "run duration, s (□)", "s", "#b35900", "white", 0.2),
 )
 
 
-def figure_3(dataset: xr.Dataset, path: str | Path) -> None:
+def figure_3(dataset: xr.Dataset) -> Picture:
     """Draw figure 3 of the paper: outcomes, alignment error and duration along one axis.
 
     For the choice of that axis, axes of more than two values come first; among them θ_I, then
@@ -37,7 +37,6 @@ def figure_3(dataset: xr.Dataset, path: str | Path) -> None:
 
     Args:
         dataset: a study.
-        path: where to save it; its suffix gives the format.
     """
     if not axes_of(dataset):
         dataset = dataset.expand_dims("theta_i")
@@ -51,11 +50,13 @@ def figure_3(dataset: xr.Dataset, path: str | Path) -> None:
             dataset.sizes[a],
         ),
     )
+    if is_number(dataset, along):
+        dataset = dataset.sortby(along)
     others = [a for a in axes if a != along]
     panels = list(cells(dataset, others))
     n = len(panels)
     with matplotlib.rc_context({"font.size": 9, "axes.spines.top": False, "hatch.linewidth": 0.5}):
-        figure = Figure(figsize=(8, 2.7 * n + 0.5), layout="constrained")
+        figure = Picture(figsize=(8, 2.7 * n + 0.5))
         rows = figure.subplots(n, 2, squeeze=False, sharex=True)
         tops = [1.05 * _highest(dataset, name) for name, *_ in STYLES]
         for row, (values, runs) in zip(rows, panels, strict=True):
@@ -66,7 +67,7 @@ def figure_3(dataset: xr.Dataset, path: str | Path) -> None:
             ax.set_xlabel(label(dataset, along))
         handles, labels = rows[0][0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside upper center", ncols=4, frameon=False)
-        figure.savefig(path, dpi=150)
+    return figure
 
 
 def _highest(dataset: xr.Dataset, name: str) -> float:
@@ -101,30 +102,56 @@ def tick_text(axis: str, value: Any) -> str:
     return short(value)
 
 
+def places(runs: xr.Dataset, along: str) -> np.ndarray:
+    """Return where the values of an axis stand: one apart, and 1.6 where their spacing jumps.
+
+    It jumps where it is more than 2.5 times the median spacing, both of the numbers and of their
+    logarithms; of θ_I, of the logarithms alone.
+    """
+    n = runs.sizes[along]
+    if n < 3 or not is_number(runs, along):
+        return np.arange(n, dtype=float)
+    values = runs[along].values.astype(float)
+    spacings = [] if along == "theta_i" else [np.diff(values)]
+    if along == "theta_i" or values.min() > 0:
+        spacings.append(np.diff(np.log10(np.maximum(values, 1e-30))))
+    jumps = [np.abs(d) > 2.5 * np.median(np.abs(d)) for d in spacings]
+    return np.concatenate([[0], np.cumsum(1 + 0.6 * np.all(jumps, axis=0))])
+
+
 def _axis(axes: Axes, runs: xr.Dataset, along: str):
+    at = places(runs, along)
     texts = [tick_text(along, value) for value in runs[along].values]
     steep = len(texts) > 8 or (max(map(len, texts)) > 8 and along != "theta_i")
-    axes.set_xticks(range(len(texts)), texts, rotation=90 if steep else 0)
-    axes.set_xlim(-0.6, len(texts) - 0.4)
+    axes.set_xticks(at, texts, rotation=90 if steep else 0)
+    axes.set_xlim(-0.6, at[-1] + 0.6)
+    for k in np.flatnonzero(np.diff(at) > 1):  # two strokes across the axis
+        axes.text(
+            (at[k] + at[k + 1]) / 2, 0, "//", transform=axes.get_xaxis_transform(), ha="center",
+            va="center", fontsize=9, zorder=5,
+        )  # fmt: skip
 
 
 def _outcomes(axes: Axes, runs: xr.Dataset, along: str):
     counts = {o: (runs.outcome == o).sum(("position", "repeat")).values for o in OUTCOMES}
     total = np.sum(list(counts.values()), axis=0)
-    bottom = np.zeros(len(total))
+    bottom, at = np.zeros(len(total)), places(runs, along)
     for outcome, count in counts.items():
         share = 100 * count / np.maximum(total, 1)  # a cell may have no run yet
         axes.bar(
-            range(len(total)), share, 0.75, bottom,
+            at, share, 0.75, bottom,
             label=f"{outcome}: {MEANINGS[outcome]}",
             color=COLOURS[outcome], hatch=HATCHES[outcome], edgecolor="black", linewidth=0.5,
         )  # fmt: skip
         bottom += share
     rates = 100 * counts["S"] / np.maximum(total, 1)
     reach = 100 * np.transpose([wilson(*pair) for pair in zip(counts["S"], total, strict=True)])
-    axes.errorbar(
-        range(len(total)), rates, np.abs(reach - rates), fmt="none", color="black", capsize=3, lw=1
+    bars = axes.errorbar(
+        at, rates, np.abs(reach - rates), fmt="none", color="black", capsize=3, lw=1.2, zorder=4
     )
+    outline = matplotlib.patheffects.withStroke(linewidth=3.5, foreground="white")
+    for part in (*bars.lines[1], *bars.lines[2]):  # seen on hatching by their white outline
+        part.set_path_effects([outline])
     axes.set_ylabel(f"runs, % (of {max(total)} each)\nwhiskers: 95 % interval of S", fontsize=8)
     axes.set_ylim(0, 100)
     axes.spines["right"].set_visible(False)
@@ -132,7 +159,7 @@ def _outcomes(axes: Axes, runs: xr.Dataset, along: str):
 
 
 def _error_and_duration(axes: Axes, runs: xr.Dataset, along: str, tops: list[float]):
-    sides = axes, axes.twinx()
+    sides, at = (axes, axes.twinx()), places(runs, along)
     for ax, (name, label, marker, colour, face, shift), top in zip(
         sides, STYLES, tops, strict=True
     ):
@@ -141,11 +168,13 @@ def _error_and_duration(axes: Axes, runs: xr.Dataset, along: str, tops: list[flo
             if len(values):
                 error = standard_error(values) if len(values) > 1 else None
                 ax.errorbar(
-                    k + shift, values.mean(), error, fmt=marker, color=colour,
+                    at[k] + shift, values.mean(), error, fmt=marker, color=colour,
                     markersize=5, capsize=3, markerfacecolor=face,
                 )  # fmt: skip
             elif ax is axes:
-                ax.text(k, 0.02 * top, "none", ha="center", fontsize=7, color="grey")
+                ax.text(
+                    at[k], 0.02 * top, "none", ha="center", fontsize=7, color="grey", rotation=90
+                )
         ax.set_ylabel(label, color=colour)
         ax.set_ylim(0, top)
     axes.set_title("successful runs: mean ± standard error", loc="right", fontsize=8)

@@ -1,13 +1,12 @@
 """The figure of scores and parameters at each optimisation step."""
 
-from pathlib import Path
 from typing import Any
 
 import matplotlib
 import numpy as np
-from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
 
+from jaxreplay.figures.picture import Picture
 from jaxreplay.recordings.scores import sensor_span
 from jaxreplay.recordings.tune import Tuned
 from jaxreplay.records import Records
@@ -15,18 +14,17 @@ from jaxreplay.records import Records
 _STYLES = ("-", "--", "-.", ":")
 
 
-def tuning_figure(records: Records, tuned: Tuned, path: Path) -> None:
-    """Save a figure of the scores at the checkpoints and of the parameters after every step.
+def tuning_figure(records: Records, tuned: Tuned) -> Picture:
+    """Return a figure of the scores at the checkpoints and of the parameters after every step.
 
     Args:
         records: the records that the parameters were tuned on.
         tuned: the result of tuning.
-        path: of the figure; its suffix gives the format.
     """
     steps = np.arange(len(tuned.path.theta_i))
     plain: Any = {"font.size": 9, "axes.spines.top": False, "axes.spines.right": False}
     with matplotlib.rc_context(plain):
-        figure = Figure(figsize=(9, 5.5), layout="constrained")
+        figure = Picture(figsize=(9, 5.5), dpi=120)
         axes = figure.subplots(2, 2, sharex=True)
         (evidence, thetas), (error, sigmas) = axes
         evidence.plot(tuned.checkpoints, tuned.scores.log_evidence, "o-", ms=3, color="black")
@@ -57,4 +55,4 @@ def tuning_figure(records: Records, tuned: Tuned, path: Path) -> None:
             "grey line: the parameters kept",
             fontsize=9,
         )
-        figure.savefig(path, dpi=120)
+    return figure

@@ -20,7 +20,7 @@ from typing import NamedTuple
 
 import jax
 
-from jaxreplay.filter.belief import READINGS, Belief, Jump
+from jaxreplay.filter.belief import DEFAULT_JUMP, READINGS, Belief, Jump
 from jaxreplay.filter.steps import command, end_probability, init, posterior, predict, update
 from jaxreplay.filter.window import NARROWEST
 from jaxreplay.params import Params
@@ -39,7 +39,7 @@ class Filter(NamedTuple):
 
 
 @cache
-def build_filter(jump: Jump = "same_tau", window: int | None = None) -> Filter:
+def build_filter(jump: Jump = DEFAULT_JUMP, window: int | None = None) -> Filter:
     """Return the filter for one reading of a jump.
 
     Args:

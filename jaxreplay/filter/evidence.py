@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxreplay.filter.belief import Jump
+from jaxreplay.filter.belief import DEFAULT_JUMP, Jump
 from jaxreplay.filter.steps import init, predict, update
 from jaxreplay.params import Params
 from jaxreplay.records import Records
@@ -16,7 +16,7 @@ def log_evidence(
     records: Records,
     params: Params,
     observations: np.ndarray | jax.Array,
-    jump: Jump = "same_tau",
+    jump: Jump = DEFAULT_JUMP,
 ) -> jax.Array:
     """Compute log p(Z_1:T) = Σ_t log p(Z_t | Z_{1:t−1}) of a recorded sequence.
 

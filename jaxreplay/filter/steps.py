@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxreplay.filter.belief import NOTHING_DROPPED, Belief, Jump
+from jaxreplay.filter.belief import DEFAULT_JUMP, NOTHING_DROPPED, Belief, Jump
 from jaxreplay.filter.numerics.anchor import anchor_point
 from jaxreplay.filter.numerics.scaled import scaled
 from jaxreplay.filter.observation import likelihood, log_density
@@ -24,7 +24,7 @@ LAST_STEPS = 10  # § 2.2.5
 _PREDICTIONS = {"same_tau": predict_same_tau, "own_tau": predict_own_tau}
 
 
-def init(records: Records, jump: Jump = "same_tau", window: int | None = None) -> Belief:
+def init(records: Records, jump: Jump = DEFAULT_JUMP, window: int | None = None) -> Belief:
     """Return the belief of equation 5: p = 1/N at each record's first sample, else 0.
 
     Args:

@@ -9,7 +9,7 @@ import jax
 import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv
 
-from jaxreplay.filter.belief import Jump
+from jaxreplay.filter.belief import DEFAULT_JUMP, Jump
 from jaxreplay.loop.tracker import LANES, Tracker
 from jaxreplay.machine import cores
 from jaxreplay.params import Params
@@ -52,7 +52,7 @@ def replay(
     env: VectorEnv,
     seeds: Sequence[int],
     *,
-    jump: Jump = "same_tau",
+    jump: Jump = DEFAULT_JUMP,
     options: Mapping[str, np.ndarray] | None = None,
     keep: Sequence[int] = (),
     progress: Callable[[Replays], None] = lambda so_far: None,

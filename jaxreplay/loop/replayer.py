@@ -6,7 +6,7 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
-from jaxreplay.filter.belief import Jump
+from jaxreplay.filter.belief import DEFAULT_JUMP, Jump
 from jaxreplay.loop.tracker import Tracker
 from jaxreplay.params import Params
 from jaxreplay.records import Records
@@ -45,7 +45,7 @@ class Replayer:
         log_evidence: log p(Z_1:t) since the start.
     """
 
-    def __init__(self, records: Records, params: Params, jump: Jump = "same_tau"):
+    def __init__(self, records: Records, params: Params, jump: Jump = DEFAULT_JUMP):
         """Compile, and start at the records' first samples.
 
         Args:

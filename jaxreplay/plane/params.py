@@ -7,12 +7,21 @@ marked as an *assumption*. The robot starts at the origin, heading along +x; y i
 """
 
 from dataclasses import dataclass
-from math import pi
+from math import isfinite, pi
 
 SENSOR_NAMES = ("camera", *(f"proximeter_{k}" for k in range(6)))
 COMMAND_NAMES = ("left_track", "right_track", "elevation", "tilt", "magnet")
 # Highest minus lowest value of each sensor: the camera's go from −1 to 1, the others from 0 to 1.
 SENSOR_RANGES = (2.0, *6 * (1.0,))
+
+N_PROXIMETERS = 6
+MOST_STEPS = 100_000  # of a run; noise is drawn for all of them when it starts
+_WHOLE = {"substeps", "image_width", "beam_rays"}
+_MAY_BE_ZERO = {
+    "wheel_noise", "sensor_noise", "camera_noise", "proximeter_noise", "servo_restart",
+    "elevation_dead_band", "tilt_dead_band", "floor_friction", "contact_friction", "low",
+    "beam_half_angle", "lift",
+}  # fmt: skip
 
 GRAVITY = 9.81  # m/s²
 
@@ -24,6 +33,10 @@ class PlaneParams:
     Four of them, `motor_unit`, `dithering`, `battery` and `sensor_noise`, are defaults: each
     world can be started with values of its own (`reset`'s options). Each constant is described,
     with its unit and source, where it is defined.
+
+    Raises:
+        ValueError: a value that is not finite, negative, or 0 where it may not be; a gripper that
+            does not fit the robot; an area without the robot.
     """
 
     # Time
@@ -100,6 +113,36 @@ class PlaneParams:
 
     # Experimental area: a run ends when the robot's hull crosses its border; assumption
     area: tuple[float, float, float, float] = (-0.25, 0.75, -0.35, 0.35)  # m: x, x, y, y
+
+    def __post_init__(self):
+        for name, value in vars(self).items():
+            for number in value if isinstance(value, tuple) else [value]:
+                if not isfinite(number):
+                    raise ValueError(f"{name} must be finite; got {value}")
+            if isinstance(value, tuple) or name == "dithering":
+                continue
+            if value < 0 or (value == 0 and name not in _MAY_BE_ZERO):
+                least = "0 or more" if name in _MAY_BE_ZERO else "greater than 0"
+                raise ValueError(f"{name} must be {least}; got {value}")
+            if name in _WHOLE and value != round(value):
+                raise ValueError(f"{name} must be a whole number; got {value}")
+        if len(self.area) != 4:
+            raise ValueError(f"area must be 4 numbers: x, x, y, y; got {self.area}")
+        x0, x1, y0, y1 = self.area
+        margin = min(-x0, x1, -y0, y1) - self.hull_radius
+        for good, message in (
+            (
+                len(self.proximeter_offsets) == N_PROXIMETERS,
+                "proximeter_offsets must be 6",
+            ),
+            (margin > 0, "area must contain the robot's hull at the origin"),
+            (self.low < self.high, "low must be less than high"),
+            (self.hull_radius < self.reach, "reach must be greater than hull_radius"),
+            (self.max_steps <= MOST_STEPS, f"time_limit must be at most {MOST_STEPS} periods"),
+            (self.max_steps >= 1, "time_limit must be at least one control_period"),
+        ):
+            if not good:
+                raise ValueError(message)
 
     @property
     def max_steps(self) -> int:

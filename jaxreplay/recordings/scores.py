@@ -15,7 +15,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
-from jaxreplay.filter.belief import Jump
+from jaxreplay.filter.belief import DEFAULT_JUMP, Jump
 from jaxreplay.loop.tracker import Tracker
 from jaxreplay.machine import cores
 from jaxreplay.params import Params
@@ -61,7 +61,7 @@ def leave_out(records: Records, i: int) -> Records:
 def leave_one_out(
     records: Records,
     params: Params,
-    jump: Jump = "same_tau",
+    jump: Jump = DEFAULT_JUMP,
     left_out: Sequence[int] | np.ndarray | None = None,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Scores:

@@ -8,11 +8,11 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
-from jaxreplay.filter.belief import Jump
+from jaxreplay.filter.belief import DEFAULT_JUMP, Jump
 from jaxreplay.machine import write_whole
 from jaxreplay.params import Params
 from jaxreplay.recordings.optimise import SIGMA_BOUNDS, Score, optimise
-from jaxreplay.recordings.scores import Scores, leave_one_out, sensor_span
+from jaxreplay.recordings.scores import Scores, default_params, leave_one_out, sensor_span
 from jaxreplay.records import Records
 
 CHECKPOINTS = 16  # sets of parameters along the path that are scored on all records
@@ -49,10 +49,11 @@ class Tuned(NamedTuple):
 
 def tune(
     records: Records,
-    start: Params,
-    jump: Jump,
-    score: Score,
-    steps: int,
+    start: Params | None = None,
+    *,
+    jump: Jump = DEFAULT_JUMP,
+    score: Score = "commands",
+    steps: int = 30,
     progress: Callable[[str, int, int], None] = lambda what, done, total: None,
 ) -> Tuned:
     """Optimise a score, and score parameters along the path with each record left out in turn.
@@ -61,7 +62,7 @@ def tune(
 
     Args:
         records: N ≥ 2 records.
-        start: one set of parameters.
+        start: one set of parameters; :func:`jaxreplay.recordings.scores.default_params` if None.
         jump: the reading of a jump, `"same_tau"` or `"own_tau"`.
         score: the score to optimise, one of `SCORES`.
         steps: the number of optimisation steps.
@@ -70,6 +71,7 @@ def tune(
     Raises:
         ValueError: fewer than 2 records, or no command to predict.
     """
+    start = default_params(records) if start is None else start
     path = []
     for params in optimise(records, start, jump, score, steps):
         path.append(params)
@@ -85,12 +87,16 @@ def summary(records: Records, tuned: Tuned) -> str:
     """Return a table of parameters and scores, at the start and as tuned."""
     start, end = tuned.params(0), tuned.params(tuned.best)
     lowest, highest = (share * sensor_span(records) for share in SIGMA_BOUNDS)
-    rows = [("θ_I", start.theta_i, end.theta_i, ""), ("θ_τ", start.theta_tau, end.theta_tau, "")]
+    idle = _without_effect(records, tuned.score)
+    rows = [
+        ("θ_I", start.theta_i, end.theta_i, idle.get("theta_i", "")),
+        ("θ_τ", start.theta_tau, end.theta_tau, ""),
+    ]
     for k, name in enumerate(records.sensor_names):
-        note = ""
-        if end.sigma[k] <= 1.01 * lowest[k]:
+        note = idle.get(name, "")
+        if not note and end.sigma[k] <= 1.01 * lowest[k]:
             note = "the lowest allowed"
-        elif end.sigma[k] >= 0.99 * highest[k]:
+        elif not note and end.sigma[k] >= 0.99 * highest[k]:
             note = "the highest allowed"
         rows.append((f"σ {name}", start.sigma[k], end.sigma[k], note))
     n = len(tuned.scores.steps)
@@ -125,6 +131,7 @@ def save(records: Records, tuned: Tuned, source: Path, path: Path) -> None:
         f"{score[0]:.6g} at the start, {score[tuned.best]:.6g} with these"
         for score in tuned.scores[:2]
     )
+    idle = _without_effect(records, tuned.score)
     lines = [
         f"# Parameters tuned on {json.dumps(str(source), ensure_ascii=False)}",
         f"# for the reading {tuned.jump} of a jump, by {tuned.score}: each of {records.n_records}",
@@ -132,14 +139,34 @@ def save(records: Records, tuned: Tuned, source: Path, path: Path) -> None:
         f"# Log evidence per time step: {evidence}.",
         f"# Error of the predicted command: {error}",
         "# (root mean square, as a share of each command's range).",
-        f"theta_i = {_number(params.theta_i)}",
+        f"theta_i = {_number(params.theta_i)}{_comment(idle.get('theta_i'))}",
         f"theta_tau = {_number(params.theta_tau)}",
         "",
         "[sigma]  # in the sensors' units",
     ]
     for name, sigma in zip(records.sensor_names, params.sigma, strict=True):
-        lines.append(f"{json.dumps(name, ensure_ascii=False)} = {_number(sigma)}")
+        key = json.dumps(name, ensure_ascii=False)
+        lines.append(f"{key} = {_number(sigma)}{_comment(idle.get(name))}")
     write_whole(path, ("\n".join(lines) + "\n").encode())
+
+
+def _without_effect(records: Records, score: Score) -> dict[str, str]:
+    """Return why a parameter has no effect on the optimised score, for each that has none.
+
+    Keys are `theta_i`, and the names of sensors for their σ.
+    """
+    reasons = {}
+    if records.n_records == 2:
+        reasons["theta_i"] = "no effect: leaving one of 2 records out leaves one, with no jump"
+    low, high = np.asarray(records.span)
+    if score == "commands":
+        for name in np.array(records.sensor_names)[low == high]:
+            reasons[str(name)] = "no effect on the commands: the sensor never changes"
+    return reasons
+
+
+def _comment(reason: str | None) -> str:
+    return f"  # {reason}" if reason else ""
 
 
 def _number(value: np.ndarray | jax.Array) -> str:

@@ -1,19 +1,22 @@
 """One run of a study done again, and recorded step by step."""
 
+from collections.abc import Mapping
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+import xarray as xr
 from gymnasium.vector import VectorEnv, VectorWrapper
 
+from jaxreplay.errors import ConfigError
 from jaxreplay.filter import build_filter
 from jaxreplay.filter.belief import Jump
 from jaxreplay.loop.replay import replay
 from jaxreplay.params import Params
 from jaxreplay.records import Records
 from jaxreplay.study.config import StudyConfig
-from jaxreplay.study.dataset import Trace
+from jaxreplay.study.dataset import OUTCOMES, STALLS, Trace
 from jaxreplay.study.factors import FACTORS
 from jaxreplay.study.runs import records_of, runs_of, settings_of, worlds_of
 from jaxreplay.study.shard import outcomes
@@ -34,9 +37,68 @@ def run_again(config: StudyConfig, records: Records, k: int) -> Trace:
     one = runs_of(config).of(np.array([k]))
     params, (seed,), options = settings_of(config, one)
     jump, chosen = one.values["jump"][0], records_of(config, records, one)
-    trace = trace_of(chosen, params, worlds_of(one, 1), jump, seed, options)
+    trace = trace_of(chosen, params, worlds_of(config, one), jump, seed, options)
     values = {FACTORS[n].symbol: v[0] for n, v in one.values.items() if v[0] is not None}
     return trace._replace(values=values, position=int(one.position[0]), repeat=int(one.repeat[0]))
+
+
+def find_run(
+    config: StudyConfig, run: int | str | Mapping[str, Any], dataset: xr.Dataset | None = None
+) -> int:
+    """Return the index of a run, counted along the dataset's dimensions.
+
+    Args:
+        config: the study.
+        run: the index itself; an outcome or a stall, for the first run that ended so; or values
+            of factors, of `position` and of `repeat`, for the first run that has them all.
+        dataset: the study's, for runs chosen by how they ended.
+
+    Raises:
+        ConfigError: there is no such run.
+    """
+    if isinstance(run, Mapping):
+        return _with_values(config, run)
+    runs, text = len(runs_of(config)), str(run)
+    if text.isdecimal():
+        if int(text) >= runs:
+            raise ConfigError(f"run {text}: the study has {runs} runs; give 0 to {runs - 1}")
+        return int(text)
+    if text not in (*OUTCOMES, *STALLS):
+        names = ", ".join((*OUTCOMES, *STALLS))
+        raise ConfigError(f"run {text}: give a run's number, or one of {names}")
+    if dataset is None:
+        raise ConfigError(f"run {text}: the study has no outcomes yet; give a study's folder")
+    found = np.flatnonzero((dataset.outcome.values == text) | (dataset.stall.values == text))
+    if len(found) == 0:
+        raise ConfigError(f"run {text}: no run of this study ended so")
+    return int(found[0])
+
+
+def _with_values(config: StudyConfig, wanted: Mapping[str, Any]) -> int:
+    """Return the index of the first run with these values."""
+    runs = runs_of(config)
+    columns = runs.values | {"position": runs.position, "repeat": runs.repeat}
+    fits = np.full(len(runs), True)
+    for name, value in wanted.items():
+        if name not in columns:
+            known = ", ".join((*config.axes, "position", "repeat"))
+            raise ConfigError(f"run {name}={value}: the study has no {name}; it has {known}")
+        column = columns[name]
+        same = np.array([_same(value, each) for each in column.tolist()])
+        if not same.any():
+            there = ", ".join(dict.fromkeys(f"{each}" for each in column.tolist()))
+            raise ConfigError(f"run {name}={value}: the study's values are {there}")
+        fits &= same
+    if not fits.any():
+        raise ConfigError(f"run {dict(wanted)}: no run of this study has all these values")
+    return int(np.flatnonzero(fits)[0])
+
+
+def _same(given: Any, value: Any) -> bool:
+    """Return whether a value is the one given, numbers to 1 % (0.0316 is 10^-1.5)."""
+    if isinstance(value, bool | str) or value is None or isinstance(given, bool | str):
+        return given == value and isinstance(given, bool) == isinstance(value, bool)
+    return bool(np.isclose(given, value, rtol=0.01, atol=0))
 
 
 def trace_of(
@@ -66,6 +128,7 @@ def trace_of(
         outcome=str(outcomes(replays)[0]),
         stall=str(replays.info["stall"][0]),
         alignment_error=float(replays.info["alignment_error"][0]),
+        plane=worlds.unwrapped.params,  # pyright: ignore[reportAttributeAccessIssue]
     )
 
 

@@ -1,13 +1,14 @@
 """The description of a study, read from a TOML file and strictly checked."""
 
 import tomllib
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
 from jaxreplay.errors import ConfigError
-from jaxreplay.plane.params import SENSOR_NAMES, SENSOR_RANGES
+from jaxreplay.plane.options import SETTINGS
+from jaxreplay.plane.params import SENSOR_NAMES, SENSOR_RANGES, PlaneParams
 from jaxreplay.plane.positions import TESTED
 from jaxreplay.study import parse
 from jaxreplay.study.factors import FACTORS, REQUIRED, added_sensors, sigma_factors
@@ -19,6 +20,9 @@ SLOTS = 56  # worlds that advance together by default
 class StudyConfig:
     """A study: every combination of its axes × test positions × repeats.
 
+    `StudyConfig(axes={"theta_i": [0.1, 0.01]})` is complete: what is not given has the default
+    that a TOML file's has, and all values are checked and converted as a file's are.
+
     Attributes:
         axes: the values of each factor that varies, in the file's order.
         fixed: the value of every other factor.
@@ -28,16 +32,55 @@ class StudyConfig:
         seed: of the demonstrations and the runs, a non-negative integer.
         slots: worlds that advance together.
         demonstrations: file of records to replay; None: the study's own, made by the teacher.
+        plane: the constants of robot, cube, sensors and area. Those that are factors (such as
+            `motor_unit`) are given as factors.
+
+    Raises:
+        ConfigError: an unknown name, or a value of a wrong type or out of range.
     """
 
-    axes: dict[str, tuple]
-    fixed: dict[str, Any]
+    axes: Mapping[str, Any] = field(default_factory=dict)
+    fixed: Mapping[str, Any] = field(default_factory=dict)
     zip: tuple[tuple[str, ...], ...] = ()
     positions: tuple[tuple[float, float], ...] = tuple(map(tuple, TESTED.tolist()))
     repeats: int = 3
     seed: int = 0
     slots: int = SLOTS
     demonstrations: Path | None = None
+    plane: PlaneParams = field(default_factory=PlaneParams)
+
+    def __post_init__(self):
+        try:
+            self._check()
+        except ConfigError:
+            raise
+        except ValueError as error:
+            raise ConfigError(str(error)) from None
+
+    def _check(self) -> None:
+        """Check every value, and convert it to what it means."""
+
+        def put(name: str, value: Any) -> None:
+            object.__setattr__(self, name, value)
+
+        given = {f.name: parse.plain(getattr(self, f.name)) for f in fields(self)}
+        for name, prefix in (("axes", "axis."), ("fixed", "")):
+            if not isinstance(given[name], dict):
+                raise ValueError(f"{name} must map factors to values; got {given[name]!r}")
+            parse.known(given[name], tuple(FACTORS), prefix)
+        axes = {
+            name: tuple(parse.values(value, f"axis.{name}", FACTORS[name].read))
+            for name, value in given["axes"].items()
+        }
+        put("axes", axes)
+        put("fixed", _all_factors(axes, given["fixed"]))
+        _check_sigma_axes(axes, self.fixed)
+        put("zip", parse.groups(given["zip"], "zip", axes))
+        for name, read in _FIELDS.items():
+            put(name, read(given[name], name))
+        for group in self.dims.values():  # of axes that move together, one may repeat a value
+            together = list(zip(*(axes[name] for name in group), strict=True))
+            parse.distinct(together, ", ".join(f"axis.{name}" for name in group))
 
     @property
     def dims(self) -> dict[str, tuple[str, ...]]:
@@ -70,7 +113,7 @@ def load_config(path: str | Path, changes: Sequence[str] = ()) -> StudyConfig:
     try:
         for change in changes:
             _change(given, change)
-        return _checked(given)
+        return StudyConfig(**_fields_of(given))
     except ValueError as error:
         raise ConfigError(f"{path}: {error}") from None
 
@@ -141,46 +184,49 @@ def _change(given: dict, change: str) -> None:
     given[last] = value
 
 
-def _checked(given: dict) -> StudyConfig:
-    """Return the study that a parsed TOML file describes, after checking every key and value."""
+_FIELDS = {  # readers of the fields besides axes, fixed and zip
+    "positions": parse.positions,
+    "repeats": parse.whole(1, 10_000),
+    "seed": parse.whole(0, 2**63 - 1),
+    "slots": parse.whole(1, 4096),
+    "demonstrations": parse.path,
+    "plane": parse.plane,
+}
+
+
+def _fields_of(given: dict) -> dict[str, Any]:
+    """Return the fields of the study that a parsed TOML file describes, not checked yet."""
     axis = given.pop("axis", {})
     if not isinstance(axis, dict):
         raise ValueError(f"axis must be a table, [axis]; got {axis!r}")
-    others = {
-        "zip": lambda value, key: parse.groups(value, key, axes),
-        "positions": parse.positions,
-        "repeats": parse.whole(1, 10_000),
-        "seed": parse.whole(0, 2**63 - 1),
-        "slots": parse.whole(1, 4096),
-        "demonstrations": parse.file,
-    }
-    parse.known(given, (*FACTORS, *others, "axis"), "")
-    parse.known(axis, tuple(FACTORS), "axis.")
-    axes = {
-        name: tuple(parse.values(value, f"axis.{name}", FACTORS[name].read))
-        for name, value in axis.items()
-    }
+    parse.known(given, (*FACTORS, "zip", *_FIELDS, "axis"), "")
+    if "demonstrations" in given:
+        parse.file(given["demonstrations"], "demonstrations")
+    plane = given.get("plane", {})
+    for name in SETTINGS if isinstance(plane, dict) else ():
+        if name in plane:
+            raise ValueError(f"plane.{name} is a factor: give it as {name} or axis.{name}")
+    fixed = {name: given.pop(name) for name in FACTORS if name in given}
+    return given | {"axes": axis, "fixed": fixed}
+
+
+def _all_factors(axes: dict[str, tuple], given: dict[str, Any]) -> dict[str, Any]:
+    """Return the value of every factor that is no axis."""
     fixed = {}
     for name, factor in FACTORS.items():
-        if name in given and name in axes:
+        value = given.get(name)
+        if value is not None and name in axes:
             raise ValueError(f"{name} and axis.{name} are both given; keep one")
-        if name in given:
-            fixed[name] = factor.read(given[name], name)
+        if value is not None:
+            fixed[name] = factor.read(value, name)
         elif name not in axes:
             if factor.default is REQUIRED:
                 raise ValueError(f"{name} is missing; give one value, or a list as axis.{name}")
             fixed[name] = factor.default
-    _check_sigma_axes(axes, fixed)
-    config = StudyConfig(
-        axes, fixed, **{key: read(given[key], key) for key, read in others.items() if key in given}
-    )
-    for group in config.dims.values():  # of axes that move together, one may repeat a value
-        together = list(zip(*(axes[name] for name in group), strict=True))
-        parse.distinct(together, ", ".join(f"axis.{name}" for name in group))
-    return config
+    return fixed
 
 
-def _check_sigma_axes(axes: dict[str, tuple], fixed: dict[str, Any]) -> None:
+def _check_sigma_axes(axes: Mapping[str, tuple], fixed: Mapping[str, Any]) -> None:
     given = {*axes, *(name for name, value in fixed.items() if value is not None)}
     enabled = {*(name for name in axes if any(axes[name])), *(n for n, v in fixed.items() if v)}
     used = sigma_factors(given, added_sensors(enabled))

@@ -12,6 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 
+from jaxreplay.plane.params import PlaneParams
+
 OUTCOMES = ("S", "Fs", "Fg", "Fb")  # of a run, as in figure 3
 STALLS = ("fixed", "cyclic", "slow")  # kinds of an Fs
 
@@ -58,6 +60,7 @@ class Trace(NamedTuple):
         values: the factors' values by symbol, for a run of a study.
         position: index of the test position, for a run of a study.
         repeat: for a run of a study.
+        plane: the constants of the simulated robot and its surroundings.
     """
 
     observations: np.ndarray
@@ -75,6 +78,7 @@ class Trace(NamedTuple):
     values: Mapping[str, Any] = MappingProxyType({})
     position: int = 0
     repeat: int = 0
+    plane: PlaneParams = PlaneParams()
 
 
 def axes_of(dataset: xr.Dataset) -> list[str]:

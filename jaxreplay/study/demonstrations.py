@@ -40,7 +40,7 @@ def demonstrations(config: StudyConfig, folder: Path) -> Records:
             and commands at its control period, or contains fewer than the study replays; or a
             demonstration by the teacher failed.
     """
-    plane = PlaneParams()
+    plane = config.plane
     # The file name contains a hash of all that determines the demonstrations, so that a file made
     # with other settings is not reused.
     made_by = json.dumps([RESULTS_FORMAT, config.seed, DEMONSTRATED.tolist(), asdict(plane)])

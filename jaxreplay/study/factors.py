@@ -1,12 +1,13 @@
 """The factors that a study can vary: the filter's parameters, and the robot's properties."""
 
+import re
 from collections.abc import Callable, Collection, Hashable
 from typing import Any, NamedTuple
 
 import numpy as np
 from gymnasium.vector import VectorEnv
 
-from jaxreplay.filter.belief import READINGS
+from jaxreplay.filter.belief import DEFAULT_JUMP, READINGS
 from jaxreplay.plane import light
 from jaxreplay.plane.options import SETTINGS
 from jaxreplay.plane.params import SENSOR_NAMES, SENSOR_RANGES, PlaneParams
@@ -61,6 +62,8 @@ REQUIRED = object()
 
 def read_records(given: Any, key: str) -> str:
     """Read how many records to draw, or which to take; see :func:`choose_records`."""
+    if isinstance(given, str) and re.fullmatch(r"\d+( drawn|( \d+)*)", given):
+        return given  # read before
     if isinstance(given, int) and not isinstance(given, bool):
         return f"{whole(1, 10_000)(given, key)} drawn"
     if not isinstance(given, list) or not given:
@@ -116,7 +119,7 @@ FACTORS: dict[str, Factor] = {
         for name in ("camera", "proximeters", *SENSOR_NAMES[1:])
     },
     "jump": Factor(
-        "same_tau",
+        DEFAULT_JUMP,
         one_of(*READINGS),
         "jump",
         "",

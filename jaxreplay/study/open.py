@@ -1,12 +1,14 @@
 """A study's folder, read as one labelled dataset."""
 
 import json
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import xarray as xr
 
+from jaxreplay.plane.params import PlaneParams
 from jaxreplay.plane.positions import DEMONSTRATED
 from jaxreplay.study.config import StudyConfig
 from jaxreplay.study.dataset import TEXT, VARIABLES
@@ -62,12 +64,11 @@ def config_of(dataset: xr.Dataset) -> StudyConfig:
 
 def _config(manifest: dict[str, Any]) -> StudyConfig:
     stored = dict(manifest["config"])
-    stored["axes"] = {name: tuple(values) for name, values in stored["axes"].items()}
-    # Factors without a value are not stored, among them those added after the study was made.
-    stored["fixed"] = {n: None for n in FACTORS if n not in stored["axes"]} | stored["fixed"]
-    stored |= {n: tuple(map(tuple, stored[n])) for n in ("zip", "positions") if n in stored}
-    path = stored["demonstrations"]
-    return StudyConfig(**stored | {"demonstrations": Path(path) if path else None})
+    known = {f.name for f in fields(PlaneParams)}
+    plane = {name: value for name, value in manifest["plane"].items() if name in known}
+    return StudyConfig(
+        **stored | {"demonstrations": stored["demonstrations"] or None, "plane": plane}
+    )
 
 
 def _coordinates(config: StudyConfig) -> dict[str, Any]:

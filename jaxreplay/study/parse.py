@@ -5,7 +5,8 @@ ValueError that names the key and the allowed values. The functions here return 
 readers.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import asdict
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,8 @@ from typing import Any
 import numpy as np
 
 from jaxreplay.errors import suggest
+from jaxreplay.plane.options import SETTINGS
+from jaxreplay.plane.params import PlaneParams
 from jaxreplay.plane.positions import CUBE_X, CUBE_Y
 
 Reader = Callable[[Any, str], Any]
@@ -107,6 +110,53 @@ def positions(given: Any, key: str) -> tuple[tuple[float, float], ...]:
             raise ValueError(f"{key}[{i}] must be [x, y] in m; got {pair!r}")
         pairs.append((x(pair[0], f"{key}[{i}][0]"), y(pair[1], f"{key}[{i}][1]")))
     return distinct(pairs, key)
+
+
+def path(given: Any, key: str) -> Path | None:
+    """Read a file's path, or None."""
+    if given is not None and not isinstance(given, str):
+        raise ValueError(f"{key} must be a file's path; got {given!r}")
+    return None if given is None else Path(given)
+
+
+def plane(given: Any, key: str) -> PlaneParams:
+    """Read the constants of the plane: a table of those that differ from the defaults."""
+    if not isinstance(given, dict):
+        raise ValueError(f"{key} must be a table, [{key}], or PlaneParams; got {given!r}")
+    defaults = plain(PlaneParams())
+    for name in SETTINGS:
+        if given.get(name, defaults[name]) != defaults[name]:
+            raise ValueError(f"{key}.{name} is a factor: give it as {name} or axis.{name}")
+    constants = tuple(name for name in defaults if name not in SETTINGS)
+    known({name: 0 for name in given if name not in SETTINGS}, constants, f"{key}.")
+    for name, value in given.items():
+        listed = isinstance(defaults[name], list)
+        numbers = value if listed and isinstance(value, list) else [value]
+        if listed != isinstance(value, list) or not all(_is_number(v) for v in numbers):
+            what = f"a list of {len(defaults[name])} numbers" if listed else "a number"
+            raise ValueError(f"{key}.{name} must be {what}; got {_short(value)}")
+    values: dict[str, Any] = {n: tuple(v) if isinstance(v, list) else v for n, v in given.items()}
+    try:
+        return PlaneParams(**values)
+    except ValueError as error:
+        raise ValueError(f"{key}.{error}") from None
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float)
+
+
+def plain(value: Any) -> Any:
+    """Return a value from Python as a TOML file gives it: tuples and arrays become lists."""
+    if isinstance(value, PlaneParams):
+        value = asdict(value)
+    if isinstance(value, Mapping):
+        return {name: plain(v) for name, v in value.items()}
+    if isinstance(value, Path):
+        return str(value)
+    if isinstance(value, np.ndarray | np.generic):
+        value = value.tolist()
+    return [plain(v) for v in value] if isinstance(value, list | tuple) else value
 
 
 def file(given: Any, key: str) -> Path:

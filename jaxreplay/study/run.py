@@ -69,7 +69,7 @@ def run_study(
             for k, which in missing.items():
 
                 def show(so_far: Replays, which: np.ndarray = which) -> None:
-                    outcome[which], duration[which] = outcomes(so_far), durations(so_far)
+                    outcome[which], duration[which] = outcomes(so_far), durations(config, so_far)
                     progress(outcome, duration)
 
                 shard = run_shard(config, records, runs.of(which), which, show)

@@ -116,9 +116,9 @@ def records_of(config: StudyConfig, records: Records, runs: Runs) -> Records:
     return records
 
 
-def worlds_of(runs: Runs, slots: int) -> VectorEnv:
+def worlds_of(config: StudyConfig, runs: Runs) -> VectorEnv:
     """Return the worlds in which the runs of one shard run."""
-    worlds = PlaneVectorEnv(min(slots, len(runs)))
+    worlds = PlaneVectorEnv(min(config.slots, len(runs)), config.plane)
     for sensor in added_sensors(runs.enabled):
         worlds = sensor.worlds(worlds)
     return worlds

@@ -11,7 +11,6 @@ import xarray as xr
 from jaxreplay.errors import ConfigError
 from jaxreplay.loop.audit import audit
 from jaxreplay.loop.replay import Replays, replay
-from jaxreplay.plane.params import PlaneParams
 from jaxreplay.records import Records
 from jaxreplay.study.config import StudyConfig
 from jaxreplay.study.runs import Runs, records_of, settings_of, worlds_of
@@ -46,7 +45,7 @@ def run_shard(
         "outcome": outcome,
         "stall": replays.info["stall"],
         "alignment_error": np.where(outcome == "S", 1e3 * replays.info["alignment_error"], np.nan),
-        "duration": durations(replays),
+        "duration": durations(config, replays),
         "log_evidence": replays.log_evidence,
         "widened": replays.widened,
         "dropped": replays.dropped,
@@ -102,7 +101,7 @@ def replays_of(
     return replay(
         records_of(config, records, runs),
         params,
-        worlds_of(runs, config.slots),
+        worlds_of(config, runs),
         seeds,
         jump=runs.values["jump"][0],
         options=options,
@@ -123,6 +122,6 @@ def outcomes(replays: Replays) -> np.ndarray:
     return np.select(ways, ["Fb", completed, "Fs"], "")
 
 
-def durations(replays: Replays) -> np.ndarray:
+def durations(config: StudyConfig, replays: Replays) -> np.ndarray:
     """Return how long replays in the plane took so far, `[n]` in s."""
-    return replays.steps * PlaneParams().control_period
+    return replays.steps * config.plane.control_period

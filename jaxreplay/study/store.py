@@ -20,7 +20,6 @@ import xarray as xr
 
 from jaxreplay.errors import ConfigError
 from jaxreplay.machine import write_whole
-from jaxreplay.plane.params import PlaneParams
 from jaxreplay.records import Records
 from jaxreplay.study.config import StudyConfig
 
@@ -50,10 +49,11 @@ def manifest_of(config: StudyConfig, records: Records, shard_size: int) -> dict[
         content.update(np.ascontiguousarray(array).tobytes())
     settings = asdict(config) | {"demonstrations": str(config.demonstrations or "")}
     # Without a value a factor is left out, so that adding one changes no existing study.
+    del settings["plane"]
     settings["fixed"] = {name: v for name, v in config.fixed.items() if v is not None}
     identity = {
         "config": settings,
-        "plane": asdict(PlaneParams()),
+        "plane": asdict(config.plane),
         "demonstrations": content.hexdigest(),
         "dtype": str(records.nodes.dtype),
         "shard": shard_size,

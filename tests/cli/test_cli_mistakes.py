@@ -137,7 +137,10 @@ def test_a_mistake_in_tuned_parameters_is_reported(tmp_path, capsys, text, messa
 
 def test_mistakes_outside_the_file_too(tmp_path, capsys):
     assert cli.main(["run", str(tmp_path / "none.toml")]) == 2
-    assert "cannot be read: No such file" in capsys.readouterr().err
+    message = "none.toml: there is no such file; jaxreplay new NAME writes one"
+    assert message in capsys.readouterr().err
+    assert cli.main(["run", "experiments/thetai.toml"]) == 2
+    assert "jaxreplay new theta_i writes one" in capsys.readouterr().err
 
     other = Records.from_sequences([np.zeros((3, 2))], [np.zeros((3, 5))])
     other.save(tmp_path / "other.npz")

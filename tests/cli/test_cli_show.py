@@ -1,5 +1,8 @@
 """The commands that read a finished study: show and plot."""
 
+import csv
+import io
+
 import pytest
 from study_helpers import made_up_study, write
 
@@ -53,3 +56,20 @@ def test_a_mistake_is_one_line_and_status_2(tmp_path, capsys, command, content, 
     assert printed.err.count("\n") == 1
     assert message in printed.err
     assert list(tmp_path.iterdir()) == before
+
+
+def test_csv_has_a_row_for_each_run(folder, capsys):
+    (folder / "shards" / "00001.nc").unlink()
+    assert cli.main(["show", str(folder), "--csv"]) == 0
+    rows = list(csv.DictReader(io.StringIO(capsys.readouterr().out)))
+    dataset = open_study(folder)
+    assert list(rows[0]) == [
+        "jump", "position", "cube_x", "cube_y", "repeat", *map(str, dataset.data_vars)
+    ]  # fmt: skip
+    assert len(rows) == dataset.outcome.size
+    for row in rows:
+        at = {"jump": row["jump"], "position": int(row["position"]), "repeat": int(row["repeat"])}
+        run = dataset.sel(at)
+        assert row["outcome"] == run.outcome
+        assert row["duration"] == ("" if row["outcome"] == "" else repr(float(run.duration)))
+        assert float(row["cube_y"]) == run.cube_y

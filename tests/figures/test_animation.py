@@ -3,7 +3,7 @@ import pytest
 from PIL import Image
 from trace_helpers import STEPS, trace
 
-from jaxreplay.figures.animation import View, animate, frames, title
+from jaxreplay.figures.animation import View, animate, frames, still, title
 
 
 @pytest.fixture(scope="module")
@@ -18,26 +18,29 @@ def test_the_title_says_which_run_it_is_and_how_it_ended(run):
 
 
 def test_frames_keep_the_pace_and_show_the_end():
-    assert frames(21, 1.0) == [*range(20), 20]
-    assert frames(21, 4.0) == [0, 4, 8, 12, 16, 20]
-    assert frames(21, 1000.0) == [0, 20]
-    assert frames(3, 0.5) == [0, 1, 2]
-    assert frames(1, 4.0) == [0]
+    assert frames(21, 1.0, 0.1) == [*range(20), 20]
+    assert frames(21, 4.0, 0.1) == [0, 4, 8, 12, 16, 20]
+    assert frames(21, 1000.0, 0.1) == [0, 20]
+    assert frames(3, 0.5, 0.1) == [0, 1, 2]
+    assert frames(1, 4.0, 0.1) == [0]
 
 
 def test_an_animation_and_a_still(run, tmp_path):
     progress = []
-    for name in ("run.gif", "run.png"):
-        animate(run, tmp_path / name, 20, lambda *at: progress.append(at))
-    with Image.open(tmp_path / "run.gif") as gif, Image.open(tmp_path / "run.png") as still:
-        wanted = len(frames(STEPS, 20))
+    animation = animate(run, 20, lambda *at: progress.append(at))
+    animation.save(tmp_path / "run.gif")
+    still(run).save(tmp_path / "run.png")
+    assert len({tuple(frame.getpalette()) for frame in animation.frames}) == 1
+    assert animation._repr_html_().startswith('<img src="data:image/gif;base64,R0lGOD')
+    with Image.open(tmp_path / "run.gif") as gif, Image.open(tmp_path / "run.png") as last_one:
+        wanted = len(frames(STEPS, 20, 0.1))
         assert gif.n_frames == wanted
-        assert progress == [(k + 1, wanted) for k in range(wanted)] + [(1, 1)]
+        assert progress == [(k + 1, wanted) for k in range(wanted)]
         first = np.asarray(gif.convert("RGB"), int)
         gif.seek(wanted - 1)
         last = np.asarray(gif.convert("RGB"), int)
         assert np.abs(last - first).max() > 100
-        np.testing.assert_allclose(last, np.asarray(still.convert("RGB"), int), atol=40)
+        np.testing.assert_allclose(last, np.asarray(last_one.convert("RGB"), int), atol=40)
 
 
 @pytest.mark.parametrize("lit", [False, True])
@@ -46,10 +49,12 @@ def test_all_sensors_are_drawn_and_the_light_where_there_is_one(run, lit):
     view = View(run._replace(observations=np.hstack([run.observations, light])))
     view.show(5)
     drawn = {line.get_label(): line.get_ydata() for line, _ in view.lines}
-    np.testing.assert_array_equal(drawn["camera"], run.observations[:6, 0])
-    np.testing.assert_array_equal(drawn["proximeter 5"], run.observations[:6, 6])
+    seen = run.observations
+    shares = (seen - seen.min(axis=0)) / np.ptp(seen, axis=0)  # each sensor on its own range
+    np.testing.assert_allclose(drawn["camera"], shares[:6, 0])
+    np.testing.assert_allclose(drawn["proximeter 5"], shares[:6, 6])
     assert ("light" in drawn) == lit
-    assert not lit or np.all(drawn["light"] == 0.7)
+    assert not lit or np.all(drawn["light"] == 0.5)
 
 
 def test_a_step_shows_its_own_belief_and_the_past_up_to_it(run):

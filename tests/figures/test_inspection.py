@@ -19,7 +19,7 @@ def test_the_figure_marks_what_was_found(tmp_path):
     images = []
     for name in ("clean.png", "spike.png"):
         records = Records.from_sequences(sensors, commands, period=0.1)
-        inspection_figure(records, inspect(records), tmp_path / name)
+        inspection_figure(records, inspect(records)).savefig(tmp_path / name)
         with Image.open(tmp_path / name) as image:
             assert image.width == 1200
             images.append(marked(image))
@@ -33,7 +33,7 @@ def test_the_figure_is_drawn_for_few_and_many(tmp_path, n, n_s, length):
     rng = np.random.default_rng(0)
     both = [[rng.normal(size=(length, k)) for _ in range(n)] for k in (n_s, 2)]
     records = Records.from_sequences(*both)
-    inspection_figure(records, inspect(records), tmp_path / "shown.png")
+    inspection_figure(records, inspect(records)).savefig(tmp_path / "shown.png")
     with Image.open(tmp_path / "shown.png") as image:
         panels = -(-(n_s + 3) // (2 if n_s < 4 else 3))
         assert image.size == (1200, pytest.approx(150 * (1.45 * panels + 0.5), abs=1))

@@ -11,6 +11,7 @@ from filter_helpers import (
     both_readings,
     case,
     noise,
+    own_tau_first,
     params_of,
     run,
     run_reference,
@@ -169,6 +170,7 @@ OTHERS = {  # each compiled for itself
     "7 sensors, equally far": lambda: equally_far(7, 30),
     "20 sensors, equally far": lambda: equally_far(20, 30),
 }
+LONG = ("lengths from 1 to 5000",)
 MORE_THAN_30_AWAY = ("mirrored", "midway", "from far", "far apart", "50 σ")
 UP_TO_30 = [name for name in CASES if not any(part in name for part in MORE_THAN_30_AWAY)]
 
@@ -193,8 +195,14 @@ def check(case, want, jump, precision="float32"):
 
 
 @both_readings
-@pytest.mark.parametrize("name", [*CASES, *OTHERS])
+@pytest.mark.parametrize("name", [*CASES, *(name for name in OTHERS if name not in LONG)])
 def test_float32_agrees_with_the_reference(name, jump):
+    check(made(name), expected(name, jump), jump)
+
+
+@own_tau_first
+@pytest.mark.parametrize("name", LONG)
+def test_float32_agrees_with_the_reference_along_long_records(name, jump):
     check(made(name), expected(name, jump), jump)
 
 

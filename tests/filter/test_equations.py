@@ -99,7 +99,7 @@ every_case = pytest.mark.parametrize("name", CASES)
     params=[
         pytest.param(InNumPy(), id="numpy"),
         pytest.param(InJax("float32"), id="float32"),
-        pytest.param(InJax("float64"), id="float64"),
+        pytest.param(InJax("float64"), id="float64", marks=pytest.mark.slow),
         pytest.param(InJax("float32", jit=False), id="float32-without-jit", marks=pytest.mark.slow),
     ]
 )

@@ -8,8 +8,6 @@ import numpy as np
 import pytest
 from conftest import LENGTHS, N_SENSORS, as_float32, random_sequences
 from filter_helpers import (
-    PRECISIONS,
-    READINGS,
     assert_agree,
     both_precisions,
     both_readings,
@@ -125,7 +123,10 @@ def check_every_step(name, thetas, precision, jump):
     assert_agree(got, expected(name, *thetas, jump), allowed, precision)
 
 
-@pytest.mark.parametrize(("jump", "precision"), list(zip(READINGS, PRECISIONS, strict=True)))
+@pytest.mark.parametrize(
+    ("jump", "precision"),
+    [("same_tau", "float32"), pytest.param("own_tau", "float64", marks=pytest.mark.slow)],
+)
 def test_one_record_agrees_with_the_reference(jump, precision):
     sequences = random_sequences(7, (200,))
     zs = as_float32(passing(sequences[0][0], SIGMA, STEPS))

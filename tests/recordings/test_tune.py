@@ -50,3 +50,19 @@ def test_the_summary_says_where_a_bound_was_reached(records):
 def test_the_summary_warns_where_commands_got_worse(records):
     lines = summary(records, tuned(records, "evidence")).splitlines()
     assert lines[-1].startswith("Commands are predicted worse than at the start")
+
+
+def test_a_parameter_without_effect_is_named(tmp_path, records):
+    sensors, commands = records.sequences()
+    still = [np.column_stack([z[:, 0], np.full(len(z), 3.0)]) for z in sensors[:2]]
+    two = Records.from_sequences(still, commands[:2])
+    result, path = tuned(two, "commands"), tmp_path / "tuned.toml"
+    lines = summary(two, result).splitlines()
+    assert lines[1].endswith("no effect: leaving one of 2 records out leaves one, with no jump")
+    assert lines[4].endswith("no effect on the commands: the sensor never changes")
+    save(two, result, tmp_path / "two.npz", path)
+    text = path.read_text(encoding="utf-8")
+    assert text.count("# no effect") == 2
+    assert list(tomllib.loads(text)["sigma"]) == ["z0", "z1"]
+    assert "no effect" not in summary(records, tuned(records, "commands"))
+    assert "the sensor never changes" not in summary(two, tuned(two, "evidence"))

@@ -62,7 +62,7 @@ def computed():
             patch.setattr(tracker, "WINDOWS", ())  # to compile less; the results are the same
             replays = replays_of(study, records, runs.of(which), some, progress)
         observations[which] = [replays.observations[k][:ROWS] for k in some]
-        outcome[which], duration[which] = outcomes(replays), durations(replays)
+        outcome[which], duration[which] = outcomes(replays), durations(study, replays)
     return {
         "format": RESULTS_FORMAT,
         "seeds": settings_of(study, runs)[1],

@@ -1,0 +1,1 @@
+"""The experiments; their TOML files are packaged with jaxreplay."""

@@ -1,0 +1,78 @@
+"""The pictures of a notebook: of a study, of records, and of one run in motion."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import xarray as xr
+
+from jaxreplay.figures.animation import Animation, animate
+from jaxreplay.figures.draw import main_figure
+from jaxreplay.figures.inspection import inspection_figure
+from jaxreplay.figures.maps import position_map
+from jaxreplay.figures.picture import Picture
+from jaxreplay.recordings.inspect import inspect
+from jaxreplay.records import Records
+from jaxreplay.study.again import find_run, run_again
+from jaxreplay.study.config import StudyConfig
+from jaxreplay.study.demonstrations import demonstrations
+from jaxreplay.study.open import config_of, open_study
+from jaxreplay.study.store import check_format
+
+
+def plot(study: xr.Dataset | str | Path) -> Picture:
+    """Return the main figure of a study: the paper's figure 3, or a map of two factors.
+
+    Args:
+        study: its dataset, or its folder.
+    """
+    (figure,) = main_figure(_dataset(study)).values()
+    return figure
+
+
+def plot_map(study: xr.Dataset | str | Path) -> Picture:
+    """Return a map of success by the cube's position, with a panel for each cell of the study.
+
+    Args:
+        study: its dataset, or its folder.
+    """
+    return position_map(_dataset(study))
+
+
+def plot_records(records: Records) -> Picture:
+    """Return a figure of records over time, with what is unusual in them marked."""
+    return inspection_figure(records, inspect(records))
+
+
+def watch(
+    study: StudyConfig | str | Path,
+    run: int | str | Mapping[str, Any] = 0,
+    speed: float = 4.0,
+) -> Animation:
+    """Do one run of a study again, and return an animation of it.
+
+    Args:
+        study: the folder of a study, or the description of one, which need not have been run.
+        run: its index; an outcome or a stall, such as `"S"` or `"fixed"`, for the first run that
+            ended so; or values, such as `{"jump": "own_tau", "position": 0, "repeat": 2}`.
+        speed: as a multiple of real time.
+
+    Raises:
+        ConfigError: there is no such run; or the study has another results format.
+        FileNotFoundError: there is no study in the folder.
+    """
+    if isinstance(study, StudyConfig):
+        k = find_run(study, run)
+        with TemporaryDirectory() as folder:
+            return animate(run_again(study, demonstrations(study, Path(folder)), k), speed)
+    folder = Path(study)
+    check_format(folder)  # a run of another format would be another run
+    dataset = open_study(folder)
+    config = config_of(dataset)
+    k = find_run(config, run, dataset)
+    return animate(run_again(config, demonstrations(config, folder), k), speed)
+
+
+def _dataset(study: xr.Dataset | str | Path) -> xr.Dataset:
+    return study if isinstance(study, xr.Dataset) else open_study(study)
