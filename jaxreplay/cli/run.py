@@ -64,7 +64,6 @@ def add_to(commands: Commands) -> None:
 
 
 def _run(options: argparse.Namespace) -> None:
-    from jaxreplay.cli.progress import Progress
     from jaxreplay.figures.draw import draw
     from jaxreplay.figures.table import table
     from jaxreplay.machine import keep_compiled
@@ -89,9 +88,7 @@ def _run(options: argparse.Namespace) -> None:
         return
     try:
         with _workers(options) as workers:
-            dataset = run_study(
-                config, folder, Progress(len(runs), config.plane.time_limit), workers
-            )
+            dataset = run_study(config, folder, workers=workers)
     except KeyboardInterrupt:
         raise KeyboardInterrupt(
             "finished shards are kept; run the same command again to continue"

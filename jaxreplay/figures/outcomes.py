@@ -20,8 +20,8 @@ MEANINGS = {"S": "success", "Fs": "time limit reached", "Fg": "no grasp", "Fb": 
 SYMBOLS = {"theta_i": "$\\theta_I$", "theta_tau": "$\\theta_\\tau$"}
 # Moments τ are positions on a record.
 READINGS = {
-    "same_tau": "same_tau: a jump keeps the moment τ (equation 6 as printed)",
-    "own_tau": "own_tau: each record keeps its own distribution over τ",
+    "same_tau": "same_tau: a jump keeps τ (equation 6 as printed)",
+    "own_tau": "own_tau: each record has its own p(τ)",
 }
 STYLES = (  # variable, label, marker, colour, its face, and how far beside the tick
     ("alignment_error", "alignment error, mm (●)", "o", "#1f4e79", "#1f4e79", -0.2),

@@ -13,6 +13,7 @@ from jaxreplay.study.config import StudyConfig
 from jaxreplay.study.dataset import VARIABLES
 from jaxreplay.study.demonstrations import demonstrations
 from jaxreplay.study.open import open_study
+from jaxreplay.study.progress import Progress
 from jaxreplay.study.runs import runs_of, shard_size, shards_of
 from jaxreplay.study.shard import durations, outcomes, run_shard, run_shard_elsewhere
 from jaxreplay.study.store import check_format, claimed, manifest_of, read_shard, write_shard
@@ -25,7 +26,7 @@ RunEach = Callable[[Callable, Any, dict[int, tuple]], Iterator[tuple[int, Any]]]
 def run_study(
     config: StudyConfig,
     folder: str | Path,
-    progress: Callable[[np.ndarray, np.ndarray], None] = lambda outcome, duration: None,
+    progress: Callable[[np.ndarray, np.ndarray], None] | None = None,
     workers: Callable[[], AbstractContextManager[RunEach]] | None = None,
 ) -> xr.Dataset:
     """Run a study, or the part of it that its folder does not contain yet.
@@ -36,6 +37,7 @@ def run_study(
         progress: called first with what the folder contains, then after each control step, or
             after each shard that a worker did. Its arguments are, for all n runs of the study, the
             outcomes `[n]`, empty for runs not ended, and the simulated seconds so far `[n]`.
+            None: it is printed (see :mod:`jaxreplay.study.progress`).
         workers: opens processes to run shards in (see :mod:`jaxreplay.study.workers`); None: this
             process. On processors of the same kind the stored results are identical, byte for
             byte, wherever they were computed.
@@ -55,6 +57,7 @@ def run_study(
     manifest = manifest_of(config, records, shard_size(config))
     runs = runs_of(config)
     outcome, duration = np.full(len(runs), "", "<U2"), np.zeros(len(runs))
+    progress = progress or Progress(len(runs), config.plane.time_limit)
     with claimed(folder, manifest):
         missing = {}
         for k, which in enumerate(shards_of(runs, manifest["shard"])):

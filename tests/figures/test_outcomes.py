@@ -57,7 +57,7 @@ def test_bars_are_shares_of_the_runs_and_whiskers_wilsons_interval_of_success(dr
         np.testing.assert_allclose(
             [segment[:, 0] for segment in segments], [[x, x] for x in (0, 1, 2)]
         )
-    above = "same_tau: a jump keeps the moment τ (equation 6 as printed)"
+    above = "same_tau: a jump keeps τ (equation 6 as printed)"
     assert rows[0, 0].get_title(loc="left") == above
     assert [t.get_text() for t in rows[1, 0].get_xticklabels()] == [
         "$10^{-3}$",

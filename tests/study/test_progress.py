@@ -3,7 +3,7 @@ import time
 
 import numpy as np
 
-from jaxreplay.cli.progress import Progress
+from jaxreplay.study.progress import Progress
 
 
 def test_progress_is_shown_in_lines_where_there_is_no_terminal(capsys, monkeypatch):
