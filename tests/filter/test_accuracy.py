@@ -206,7 +206,7 @@ def test_float32_agrees_with_the_reference_along_long_records(name, jump):
     check(made(name), expected(name, jump), jump)
 
 
-@both_readings
+@own_tau_first
 @pytest.mark.parametrize("name", UP_TO_30)
 def test_float64_agrees_with_the_reference(name, jump):
     check(made(name), expected(name, jump), jump, "float64")

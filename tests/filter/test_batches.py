@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from conftest import N_SENSORS, random_sequences
-from filter_helpers import both_readings, passing
+from filter_helpers import own_tau_first, passing
 
 from jaxreplay import Params, Records, build_filter
 
@@ -38,7 +38,7 @@ def assert_close(got, want):
         np.testing.assert_allclose(a, b, atol=2e-6, rtol=1e-5)
 
 
-@both_readings
+@own_tau_first
 def test_a_batch_of_replays_is_the_same_as_each_alone(jump):
     sequences = random_sequences(1)
     zs = passing(sequences[0][0], SIGMA, 9)
@@ -56,7 +56,7 @@ def test_a_batch_of_replays_is_the_same_as_each_alone(jump):
 
 
 @pytest.mark.slow
-@both_readings
+@own_tau_first
 def test_steps_are_the_same_without_jit(jump):
     sequences = random_sequences(1)
     zs = passing(sequences[0][0], SIGMA, 9)
@@ -70,7 +70,7 @@ def test_steps_are_the_same_without_jit(jump):
         assert_close(got, want)
 
 
-@both_readings
+@own_tau_first
 def test_new_values_compile_nothing_new(jump):
     f, (step, compilations) = build_filter(jump), batched_step(jump)
     for seed, theta in enumerate([0.1, 0, np.float64(0.5)]):

@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from conftest import random_sequences
+from filter_helpers import own_tau_first
 
 from jaxreplay import Params, Records, log_evidence, reference
 
@@ -27,7 +28,7 @@ def expected(sensors, params, observations, jump):
     return total
 
 
-@pytest.mark.parametrize("jump", ["same_tau", "own_tau"])
+@own_tau_first
 def test_it_is_the_references_over_grids_and_lengths(recorded, jump):
     sensors, records, seen = recorded
     theta_i, theta_tau = np.array([0.5, 0.125, 1e-6]), np.array([0.0625, 0.25, 0.03125])

@@ -2,7 +2,7 @@
 
 import numpy as np
 from conftest import N_SENSORS
-from filter_helpers import both_readings, noise, run
+from filter_helpers import noise, own_tau_first, run
 
 from jaxreplay import Params, build_filter
 from jaxreplay.filter.belief import NOTHING_DROPPED
@@ -19,7 +19,7 @@ def long_records(lengths=(200, 190, 200, 196)):
     return (sensors, commands), sensors[2][at] + SIGMA * noise(9, len(at), N_SENSORS)
 
 
-@both_readings
+@own_tau_first
 def test_window_stores_all_that_matters(jump):
     sequences, zs = long_records()
     params = Params(0.1, 0.05, SIGMA)
@@ -34,7 +34,7 @@ def test_window_stores_all_that_matters(jump):
     np.testing.assert_allclose(windowed[2], dense[2], rtol=1e-5)
 
 
-@both_readings
+@own_tau_first
 def test_window_reports_what_it_dropped(jump):
     (sensors, commands), zs = long_records()
     flat = [np.zeros_like(s) for s in sensors]

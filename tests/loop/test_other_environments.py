@@ -3,6 +3,7 @@
 import gymnasium
 import numpy as np
 import pytest
+from filter_helpers import own_tau_first
 from gymnasium.vector import AutoresetMode
 
 from jaxreplay import Params, Records
@@ -46,7 +47,7 @@ def climbs():
     return Records.from_sequences(sensors, commands, ["position", "velocity"], ["force"])
 
 
-@pytest.mark.parametrize("jump", ["same_tau", "own_tau"])
+@own_tau_first
 def test_an_environment_of_somebody_else_is_driven_too(climbs, jump):
     n = 12
     sigma = 0.05 * np.array([1.8, 0.14])  # of its position's and velocity's ranges

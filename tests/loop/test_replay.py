@@ -4,6 +4,7 @@ import gymnasium
 import jax
 import numpy as np
 import pytest
+from filter_helpers import own_tau_first
 from gymnasium.vector import AutoresetMode, VectorEnv
 
 from jaxreplay import Params, Records, build_filter, reference
@@ -63,7 +64,7 @@ class Recorder(PlaneVectorEnv):
         return result
 
 
-@pytest.mark.parametrize("jump", ["same_tau", "own_tau"])
+@own_tau_first
 def test_the_loop_is_predict_command_act_observe_update(records, jump, monkeypatch):
     """Every command sent is the reference's, fed what was seen before it; so is the evidence."""
     monkeypatch.setattr(module, "WINDOWS", ())

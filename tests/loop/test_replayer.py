@@ -8,7 +8,6 @@ from jaxreplay.loop import tracker
 
 SIGMA = np.array([0.5, 2.0])
 THETA = 0.125, 0.0625
-READINGS = ("same_tau", "own_tau")
 THE_SAME = reference.Params(*THETA, SIGMA)
 
 
@@ -17,7 +16,9 @@ def records_and_params(lengths=(200, 160, 120)):
     return sensors, commands, Records.from_sequences(sensors, commands), Params(*THETA, SIGMA)
 
 
-@pytest.fixture(scope="module", params=READINGS)
+@pytest.fixture(
+    scope="module", params=["own_tau", pytest.param("same_tau", marks=pytest.mark.slow)]
+)
 def replayer(request):
     sensors, commands, records, params = records_and_params()
     with pytest.MonkeyPatch.context() as patch:
