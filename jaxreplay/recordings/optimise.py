@@ -57,7 +57,7 @@ def optimise(
         seed: of the order in which records are left out.
 
     Yields:
-        The parameters at the start, and after each step.
+        `start`, clipped to the bounds, and the parameters after each step.
 
     Raises:
         ValueError: fewer than 2 records, or no command to predict.

@@ -49,7 +49,7 @@ class Runs(NamedTuple):
 
 
 def runs_of(config: StudyConfig) -> Runs:
-    """Return all runs of a study: every combination of its axes × test positions × repeats."""
+    """Return all runs of a study: its dimensions × positions × repeats."""
     counts = [len(config.axes[name]) for name in config.dims]
     grid = np.array(list(product(*map(range, (*counts, len(config.positions), config.repeats)))))
     *indices, position, repeat = grid.T
