@@ -14,11 +14,9 @@ from jaxreplay.figures.maps import position_map
 from jaxreplay.figures.picture import Picture
 from jaxreplay.recordings.inspect import inspect
 from jaxreplay.records import Records
-from jaxreplay.study.again import find_run, run_again
+from jaxreplay.study.again import find_and_run_again
 from jaxreplay.study.config import StudyConfig
-from jaxreplay.study.demonstrations import demonstrations
-from jaxreplay.study.open import config_of, open_study
-from jaxreplay.study.store import check_format
+from jaxreplay.study.open import open_study
 
 
 def plot(study: xr.Dataset | str | Path) -> Picture:
@@ -63,15 +61,11 @@ def watch(
         FileNotFoundError: there is no study in the folder.
     """
     if isinstance(study, StudyConfig):
-        k = find_run(study, run)
         with TemporaryDirectory() as folder:
-            return animate(run_again(study, demonstrations(study, Path(folder)), k), speed)
-    folder = Path(study)
-    check_format(folder)  # a run of another format would be another run
-    dataset = open_study(folder)
-    config = config_of(dataset)
-    k = find_run(config, run, dataset)
-    return animate(run_again(config, demonstrations(config, folder), k), speed)
+            _, trace = find_and_run_again(study, run, Path(folder))
+    else:
+        _, trace = find_and_run_again(Path(study), run, Path(study))
+    return animate(trace, speed)
 
 
 def _dataset(study: xr.Dataset | str | Path) -> xr.Dataset:

@@ -1,12 +1,13 @@
 """The model in plain NumPy and float64: read this file first, beside section 2 of the paper.
 
 Each function is one equation. Functions have the names of their JAX counterparts in
-:mod:`jaxreplay.filter`, which take `Records` for the lists and compute equation 2 relative to an
-anchor; the two share no code, and tests hold both to the paper. Everything is computed in
-logarithms, so that no probability underflows.
+:mod:`jaxreplay.filter`, which take `Records` for the lists, and divide equation 2 by the density of
+one point near the observation, its anchor. The two share no code, and tests hold both to the paper.
+Everything is computed in logarithms, so that no probability underflows.
 
 - `sensors` and `commands` are lists of N arrays, (L_i, n_s) and (L_i, n_u): the records Π (§ 2.1).
-  Row t of a record is the command v_t and the observation ζ_t made after it.
+  Row t of a record is the command v_t and the observation ζ_t made after it. Records and samples
+  are counted from 0, as equation 5 does (§ 2.1 counts them from 1).
 - a `belief` is an (N, L) array of log p(I = i, τ = j), L = max L_i, with −∞ past a record's end.
 - `z` is an (n_s,) observation Z_t; NaN marks a missing sensor.
 
@@ -17,9 +18,10 @@ The paper leaves some points open. They are decided here, each where it arises:
   point Gaussian, its limit; so is a record of one sample.
 - **Equation 3** with one record is the identity: there is no other record to jump to.
 - **Equations 4 and 6.** The step along τ is taken in the record that is departed from; its last
-  sample absorbs what would pass it. Then comes the jump. Probability that lands past the end of its
-  new record is discarded, and the rest is renormalised; if nothing remains (θ_I = 1, and all
-  probability is past the end of every other record), the belief before the step is kept.
+  sample absorbs what would pass it. Then comes the jump. Where a jump keeps τ (`same_tau`, below),
+  probability that lands past the end of its new record is discarded, and the rest is renormalised;
+  if nothing remains (θ_I = 1, and all probability is past the end of every other record), the
+  belief before the step is kept.
 - **Equation 5** places all probability on each record's first sample, before the first prediction.
   The first command is therefore mostly that of the second row.
 - **Section 2.2.5.** "The last 10 time steps" are those of each record; a shorter record counts
@@ -41,8 +43,8 @@ from scipy.special import log_ndtr, logsumexp
 Sequences = Sequence[np.ndarray]  # N arrays (L_i, n)
 
 LAST_STEPS = 10  # § 2.2.5
-# A segment on which length/σ × max(1, distance of the farther end from z, /σ) is below this is
-# short: its mean is computed as a series.
+# A segment is short, and its mean is computed as a series, where d · max(1, u) is below this: d is
+# its length and u the distance from z to its farther end, both in σ.
 SHORT = 1e-3
 
 

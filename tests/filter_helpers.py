@@ -5,7 +5,7 @@ from typing import NamedTuple
 import jax
 import numpy as np
 import pytest
-from conftest import as_float32
+from random_helpers import as_float32
 
 from jaxreplay import Params, Records, reference
 from jaxreplay.filter import READINGS

@@ -5,8 +5,8 @@ from contextlib import contextmanager
 import jax
 import numpy as np
 import pytest
-from conftest import random_sequences
 from filter_helpers import COMPILE_QUICKLY
+from random_helpers import random_sequences
 
 from jaxreplay import Params, reference
 from jaxreplay.recordings import optimise

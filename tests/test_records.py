@@ -4,7 +4,7 @@ import zipfile
 import jax
 import numpy as np
 import pytest
-from conftest import random_sequences
+from random_helpers import random_sequences
 
 from jaxreplay import Records
 

@@ -3,9 +3,9 @@ from math import erf, exp, pi, sqrt
 
 import numpy as np
 import pytest
-from conftest import random_sequences
 from hypothesis import given
 from hypothesis import strategies as st
+from random_helpers import random_sequences
 from scipy.integrate import quad
 
 from jaxreplay import reference

@@ -6,7 +6,7 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
-from jaxreplay.cli.arguments import Commands, opened, speed
+from jaxreplay.cli.arguments import Commands, speed
 from jaxreplay.cli.new import check_file
 from jaxreplay.errors import ConfigError
 
@@ -46,28 +46,21 @@ def _watch(options: argparse.Namespace) -> None:
 
     from jaxreplay.figures.animation import animate, still, title
     from jaxreplay.machine import keep_compiled
-    from jaxreplay.study.again import find_run, run_again
+    from jaxreplay.study.again import find_and_run_again
     from jaxreplay.study.config import load_config
-    from jaxreplay.study.demonstrations import demonstrations
-    from jaxreplay.study.open import config_of
-    from jaxreplay.study.store import check_format
 
     check_file(options.study)
     keep_compiled()
+    if options.out and options.out.suffix not in (".gif", ".png"):
+        raise ConfigError(f"--out {options.out}: its name must end in .gif, or in .png for a still")
     if options.study.is_dir():
-        folder, dataset = options.study, opened(options.study)
-        check_format(folder)  # a run of another format would be another run
-        config = config_of(dataset)
+        study = folder = options.study
     else:
-        folder, dataset = Path("results") / options.study.stem, None
-        config = load_config(options.study)
+        study, folder = load_config(options.study), Path("results") / options.study.stem
     named = parse_run(options.run)
-    k = find_run(config, named, dataset)
+    k, run = find_and_run_again(study, named, folder)
     path = options.out or folder / f"run_{k if isinstance(named, dict) else named}.gif"
-    if path.suffix not in (".gif", ".png"):
-        raise ConfigError(f"--out {path}: its name must end in .gif, or in .png for a still")
     path.parent.mkdir(parents=True, exist_ok=True)
-    run = run_again(config, demonstrations(config, folder), k)
     with tqdm(desc=f"{path}", unit="frame", disable=None) as bar:
 
         def progress(done: int, total: int) -> None:

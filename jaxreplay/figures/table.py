@@ -52,10 +52,11 @@ def _audited(dataset: xr.Dataset) -> str:
     """Return a line on how far windows changed the commands."""
     off = dataset.command_error.values
     off = off[np.isfinite(off)]
+    if len(off) == 0:
+        return "Audit: no run was filtered again with the complete belief."
     return (
-        f"Audit: {len(off)} runs were filtered again with the complete belief; commands differed "
-        f"by more than 1e-3 of their range in {np.sum(off > 1e-3)} of them, at most by "
-        f"{np.max(off, initial=0):.1e}."
+        f"Audit: {len(off)} of the runs filtered again with the complete belief; commands differed "
+        f"by more than 1e-3 of their range in {np.sum(off > 1e-3)}, at most by {np.max(off):.1e}."
     )
 
 

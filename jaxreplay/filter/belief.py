@@ -2,6 +2,7 @@
 
 - A *sample* is a position on a record: τ = j is its sample j, the moment of the record at which the
   replay is.
+- A *hypothesis* is a pair (i, j): the robot is at sample j of record i.
 - A *reading of a jump* is an interpretation of equation 6: `same_tau` or `own_tau` (see
   :mod:`jaxreplay.filter.transition`).
 """
@@ -38,9 +39,10 @@ class Belief:
             :mod:`jaxreplay.filter.numerics.scaled`), so no hypothesis is lost to underflow.
         start: the first stored sample, int32. One number under `same_tau`, where a jump keeps τ;
             `[N]`, one for each record, under `own_tau`. 0 without a window.
-        dropped: log2 of the most probable hypothesis that a window has discarded so far, rounded
-            down, int32; under `own_tau` relative to the most probable sample of its record.
-            `NOTHING_DROPPED` if there was none.
+        dropped: log2 of the probability of the most probable hypothesis that a window has
+            discarded so far, int32; rounded down. Under `own_tau` it is relative to the most
+            probable sample of the same record, and right to within one bit either way.
+            `NOTHING_DROPPED` if nothing was discarded.
         jump: the reading of a jump, `"same_tau"` or `"own_tau"`; static.
         window: W, or None where all samples are stored (W = L); static.
     """

@@ -19,9 +19,10 @@ def likelihood(records: Records, params: Params, z: jax.Array, anchor: jax.Array
 
         ∏_k ½ [mean of N over ζ_{j−1} … ζ_j  +  mean of N over ζ_j … ζ_{j+1}]_k
 
-    Far from all records (hundreds of σ) these densities differ by less than the rounding of their
-    logarithms. Therefore each is divided by the density N(z; anchor, σ²) of one point near the
-    observation, which cancels in equation 9; :func:`log_density` gives it.
+    Far from all records (hundreds of σ) these densities can differ by less than the rounding of
+    their logarithms. Therefore each is divided by N(z; anchor, σ²), where the anchor is one point,
+    the same for all i and j, as near the observation as the records are. The factor cancels in
+    equation 9; :func:`log_density` gives it.
 
     The paper leaves these points open; here: N(t, σ²) is the normal density of Z_t − t; the first
     and last sample of a record touch one segment, which carries full weight; a segment of length
@@ -55,11 +56,14 @@ def _likelihoods(segments: Scaled, measured: jax.Array) -> Scaled:
     """Average the two segments at every sample, and multiply over sensors.
 
     Args:
-        segments: `[n_s, n − 1]` means over the segments between n nodes.
+        segments: `[n_s, n − 1]` means over the segments between n nodes: all records end to end,
+            each with a mirrored node before its first sample and after its last (see
+            `Records.nodes`).
         measured: `[n_s, 1]` False for a missing sensor.
 
     Returns:
-        `[n]`, of which the last two belong to no sample.
+        `[n]`; entry m is that of the sample at node m + 1. The last two of each record, and of the
+        whole, belong to no sample.
     """
     left, right = segments[:, :-1], segments[:, 1:]
     exponent = jnp.maximum(left.exponent, right.exponent)

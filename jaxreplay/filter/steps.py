@@ -84,8 +84,9 @@ def update(
         params: σ is used.
         belief: the predicted belief, p(I_t, τ_t | Z_{1:t−1}).
         z: `[n_s]` the observation Z_t, made after the command, in the sensors' units; NaN marks a
-            missing sensor. The records' offset is subtracted from it: in float64 as long as z is
-            a NumPy array.
+            missing sensor. The offset of the records is subtracted from it, in float64 if z is a
+            NumPy array. (Records made by `Records.centred` have no offset left: for them z is
+            already centred.)
 
     Returns:
         The belief p(I_t, τ_t | Z_{1:t}), and the log evidence log p(Z_t | Z_{1:t−1}).

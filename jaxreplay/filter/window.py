@@ -2,11 +2,11 @@
 
 The equations run unchanged on a *view*: the records cut to the W samples in the window, their
 lengths counted from its start. A belief wider than its window loses probability at both edges, and
-`Belief.dropped` records the most probable hypothesis lost, in bits. It matters even where it is
-tiny: a hypothesis of 2^-100 may win later, when an observation rules out all others. A step that
-dropped too much can be computed again from the belief before it, brought to a wider window by
-:func:`resize`. After t steps τ ≤ 2 t, so no probability reaches the leading `STRIDE` columns, and
-nothing is lost, in the first (W − STRIDE) / 2 steps.
+`Belief.dropped` records the most probable hypothesis lost, as a log2. The loss matters even where
+it is tiny: a hypothesis of 2^-100 may win later, when an observation rules out all others. A step
+that dropped too much can be computed again from the belief before it, which :func:`resize` brings
+to a wider window. After t steps τ ≤ 2 t: up to step (W − STRIDE) / 2 no probability has reached
+the leading `STRIDE` columns, so no window has moved and nothing is lost.
 """
 
 import dataclasses
@@ -39,10 +39,10 @@ def view(records: Records, belief: Belief) -> Records:
 
 
 def follow(records: Records, belief: Belief) -> Belief:
-    """Shift a window by `STRIDE` when its leading edge has more probability than its trailing one.
+    """Shift a window whose leading `STRIDE` columns hold more probability than its trailing ones.
 
-    To be called before a prediction. `own_tau` has a window for each record, and each shifts
-    independently.
+    It shifts by `STRIDE`, or by what is left to the records' end. To be called before a prediction.
+    Under `own_tau` each record has its own window, and they shift independently.
     """
     width = belief.window
     if width is None:
@@ -56,6 +56,7 @@ def follow(records: Records, belief: Belief) -> Belief:
     leaving = column < stride.reshape(-1, 1)  # one for all records, or for each
     p = _window(belief.p.padded((0, STRIDE)), stride, width)
     start = belief.start + stride
+    # What the coming prediction may carry past the leading edge.
     passing = (column >= width - REACH) & (start + width < records.lengths)[:, None]
     lost = jnp.maximum(_bits(belief, belief.p.where(leaving)), _bits(belief, p.where(passing)))
     dropped = jnp.maximum(belief.dropped, jnp.max(lost))
@@ -93,10 +94,10 @@ def resize(records: Records, belief: Belief, window: int | None) -> Belief:
 
 
 def _bits(belief: Belief, part: Scaled) -> jax.Array:
-    """Return log2 of probabilities `[N, …]` of the belief, rounded down.
+    """Return log2 of `part`, `[N, …]` probabilities of the belief, rounded down.
 
-    Under `own_tau`, where records keep distributions of their own, it is relative to the most
-    probable sample of the record.
+    Under `own_tau`, where each record keeps a distribution of its own, it is relative to the most
+    probable sample of the record: a difference of two exponents, right to within one bit.
     """
     top = 0
     if belief.jump == "own_tau":

@@ -24,15 +24,17 @@ class Replays(NamedTuple):
     """Results of n replays.
 
     Attributes:
-        ending: `[n]` how each ended: "completed" (the belief reached the records' end),
-            "terminated" or "truncated" (by the environment); empty while it runs.
+        ending: `[n]` how each ended: "terminated" (by the environment), else "completed" (the
+            belief reached the records' end), else "truncated" (by the environment); empty while
+            it runs.
         steps: `[n]` control steps taken.
         reward: `[n]` sum of the environment's rewards.
         log_evidence: `[n]` log p(Z_1:t) of the replay.
         info: the environment's info of each replay's last step, `[n, …]` by name; where it gave
             none: NaN for floats, else 0, False or an empty string.
         widened: `[n]` times that a step was computed again in a wider window.
-        dropped: `[n]` log2 of the most probable hypothesis that windows dropped; −∞ for none.
+        dropped: `[n]` log2 of the probability of the most probable hypothesis that windows
+            dropped (see `Belief.dropped`); −∞ for none.
         observations: of each replay asked for, a list of its `[n_s]` Z_t.
     """
 
@@ -70,12 +72,12 @@ def replay(
         params: `[n]`-batched parameters.
         env: any Gymnasium vector environment with Box observations and actions whose autoreset
             is disabled. If it has an attribute `resting` (`[B]` bool), slots whose replay has ended
-            are set True there, and the environment may skip them.
+            are set True there, and the environment may skip them; its reset sets them False.
         seeds: n seeds, one for each replay.
         jump: `"same_tau"` or `"own_tau"`.
         options: for the environment's reset, `[n, …]` by name; the environment receives those of
-            its slots, `[B, …]`. (Gymnasium's own SyncVectorEnv passes the whole `[B, …]` arrays to
-            each sub-environment.)
+            its slots, `[B, …]`, and `reset_mask`, `[B]` bool, the slots to reset. (Gymnasium's own
+            SyncVectorEnv passes the whole `[B, …]` arrays to each sub-environment.)
         keep: replays whose observations are returned.
         progress: called with the results so far after every control step.
         tracker: constructor of the filter of `LANES` slots, called as `tracker(records, params,
@@ -189,13 +191,13 @@ class _Loop:
         """Give the next replays to free slots, `[B]` bool: reset these and begin their beliefs."""
         slots = len(free)
         take = np.flatnonzero(free)[: len(self.seeds) - self.started]
-        first = self.started == 0
+        nothing_started = self.started == 0
         self.replay_in_slot[take] = np.arange(self.started, self.started + len(take))
         self.going[take] = True
         self.started += len(take)
         taken = np.isin(np.arange(slots), take)
         # At first every slot; later also slots that are over, which cannot be stepped any more.
-        fresh = free if first else taken | (self.over & ~self.going)
+        fresh = free if nothing_started else taken | (self.over & ~self.going)
         if not fresh.any():
             return
         options = {

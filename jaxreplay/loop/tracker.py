@@ -27,7 +27,9 @@ NARROW_EVERY = 32  # steps after which a narrower window is tried
 # observations inside that range), …
 RETURN_AFTER = 24
 MARGIN = 200  # … and by this many bits more, for records that hardly differ
-NARROW_MARGIN = 4  # bits below the limit that a narrower window must stay, or it soon widens again
+# A narrower window is taken only if what it drops is this many bits below the limit: else it would
+# soon be widened again.
+NARROW_MARGIN = 4
 
 _lane_of = jax.jit(lane)
 
@@ -47,9 +49,10 @@ class Tracker:
     """Tracks B replays that advance together, each belief in a window of its own width.
 
     Between steps a belief is the predicted one, and its command is ready to be sent. No step drops
-    a hypothesis more probable than 2^`droppable`: a step that would is computed again in a wider
-    window, from the belief before it. Every 32 steps a narrower window is tried. Results of a
-    replay do not depend on the replays beside it.
+    a hypothesis more probable than 2^`droppable` (under `own_tau`: more probable than that share of
+    its record's most probable sample). A step that would is computed again in a wider window, from
+    the belief before it. Every 32 steps a narrower window is tried. Results of a replay do not
+    depend on the replays beside it.
 
     A dropped hypothesis may be missed later: a robot that stands still for hundreds of steps and is
     then carried back to where it was long before is not found there by a narrow window.
@@ -59,7 +62,8 @@ class Tracker:
         window: `[B]` index of the window that each replay is in.
         widened: `[B]` times that a step was computed again in a wider window since the replay
             began.
-        dropped: `[B]` log2 of the most probable hypothesis dropped since then; −∞ for none.
+        dropped: `[B]` log2 of the probability of the most probable hypothesis dropped since then
+            (see `Belief.dropped`); −∞ for none.
         droppable: `[B]` limit on `dropped` (a log2 probability, int32), from σ and the sensors'
             ranges.
     """
@@ -185,7 +189,10 @@ class Tracker:
         return steps(self.jump, self.windows[k])
 
     def _run(self, k: int, step: Any, which: np.ndarray, first: Any, *rest: Any) -> Any:
-        """Run a step on beliefs in window k, for the replays in `which`; return its results."""
+        """Run a step on beliefs in window k, for the replays in `which`; return its results.
+
+        `first` is what a step takes before the beliefs: params, or for `move` the source.
+        """
         beliefs = self._beliefs[k]
         if beliefs is None:
             beliefs = self._empty_beliefs(k)

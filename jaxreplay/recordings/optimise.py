@@ -29,7 +29,7 @@ PROBABILITY_BOUNDS = (1e-6, 0.999)  # of θ_I and of 2 θ_τ
 SIGMA_BOUNDS = (1e-3, 10.0)  # of σ, as a share of the sensor's range
 LEARNING_RATES = (0.2, 0.01)  # Adam's, at the first step and at the last
 BATCH = 2  # left-out records whose gradients are summed for an optimisation step
-WINDOW = 256  # moments τ (positions on a record) that a belief stores; scores have no such limit
+WINDOW = 256  # samples of each record that a belief stores; the scores have no such limit
 
 
 def optimise(
@@ -44,8 +44,8 @@ def optimise(
 
     Each step follows the summed gradient of `BATCH` left-out records, in random order: all are left
     out once before any is left out again. The unknowns are logit θ_I, logit 2 θ_τ and log σ, within
-    `PROBABILITY_BOUNDS` and `SIGMA_BOUNDS`. Of two records θ_I remains as it is, since leaving one
-    out leaves one, from which there is no jump. Beliefs are stored in windows of `WINDOW` moments.
+    `PROBABILITY_BOUNDS` and `SIGMA_BOUNDS`. With two records θ_I remains as it is: leaving one out
+    leaves one, from which there is no jump. Beliefs are stored in windows of `WINDOW` samples.
 
     Args:
         records: N ≥ 2 records.
@@ -89,8 +89,6 @@ def optimise(
         for _ in range(steps):
             left_out = [next(order) for _ in range(min(BATCH, records.n_records))]
             slope = jax.tree.map(lambda *each: sum(each), *threads.map(gradient, left_out))
-            if records.n_records == 2:  # Adam would follow its rounding errors
-                slope = slope._replace(theta_i=jnp.zeros_like(slope.theta_i))
             step, state = adam.update(slope, state)
             x = optax.projections.projection_box(optax.apply_updates(x, step), low, high)
             yield _params(x)
@@ -138,8 +136,9 @@ def _gradient(
 
     loss = Σ_t w · (Σ_k (scale_k (u_k,t − v_k,t))², −log p(Z_t | Z_1:t−1))
 
-    The weights w choose the loss at run time, so one compiled program serves both. The backward
-    pass stores beliefs only and computes the rest of each step again, to save memory.
+    The weights w choose the loss at run time, so one compiled program serves both. To save memory
+    the forward pass stores only the belief of each step, and the backward pass computes the rest
+    of the step again.
     """
 
     def loss(x: _Unconstrained) -> jax.Array:

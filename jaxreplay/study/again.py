@@ -1,6 +1,7 @@
 """One run of a study done again, and recorded step by step."""
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -17,9 +18,43 @@ from jaxreplay.params import Params
 from jaxreplay.records import Records
 from jaxreplay.study.config import StudyConfig
 from jaxreplay.study.dataset import OUTCOMES, STALLS, Trace
+from jaxreplay.study.demonstrations import demonstrations
 from jaxreplay.study.factors import FACTORS
+from jaxreplay.study.open import config_of, open_study
 from jaxreplay.study.runs import records_of, runs_of, settings_of, worlds_of
 from jaxreplay.study.shard import outcomes
+from jaxreplay.study.store import check_format
+
+
+def find_and_run_again(
+    study: StudyConfig | Path, run: int | str | Mapping[str, Any], folder: Path
+) -> tuple[int, Trace]:
+    """Find a run of a study, do it again and record it.
+
+    Args:
+        study: the folder of a study, or the description of one, which need not have been run.
+        run: which, as in :func:`find_run`.
+        folder: where demonstrations are looked for, and stored if they have to be made.
+
+    Returns:
+        The run's index, and the run.
+
+    Raises:
+        ConfigError: there is no such run; or the folder's study is damaged, or of another results
+            format.
+        FileNotFoundError: there is no study in the folder.
+    """
+    if isinstance(study, StudyConfig):
+        config, dataset = study, None
+    else:
+        check_format(study)  # a run of another format would be another run
+        try:
+            dataset = open_study(study)
+        except ValueError as error:
+            raise ConfigError(str(error)) from None
+        config = config_of(dataset)
+    k = find_run(config, run, dataset)
+    return k, run_again(config, demonstrations(config, folder), k)
 
 
 def run_again(config: StudyConfig, records: Records, k: int) -> Trace:
@@ -84,6 +119,7 @@ def _with_values(config: StudyConfig, wanted: Mapping[str, Any]) -> int:
             known = ", ".join((*config.axes, "position", "repeat"))
             raise ConfigError(f"run {name}={value}: the study has no {name}; it has {known}")
         column = columns[name]
+        value = _as_stored(name, value)
         same = np.array([_same(value, each) for each in column.tolist()])
         if not same.any():
             there = ", ".join(dict.fromkeys(f"{each}" for each in column.tolist()))
@@ -92,6 +128,14 @@ def _with_values(config: StudyConfig, wanted: Mapping[str, Any]) -> int:
     if not fits.any():
         raise ConfigError(f"run {dict(wanted)}: no run of this study has all these values")
     return int(np.flatnonzero(fits)[0])
+
+
+def _as_stored(name: str, value: Any) -> Any:
+    """Return a factor's value as a study stores it: `records = 6` is "6 drawn"."""
+    try:
+        return FACTORS[name].read(value, name)
+    except (KeyError, ValueError):  # position, repeat; or no run can have it
+        return value
 
 
 def _same(given: Any, value: Any) -> bool:

@@ -18,7 +18,7 @@ SLOTS = 56  # worlds that advance together by default
 
 @dataclass(frozen=True)
 class StudyConfig:
-    """A study: every combination of its axes × test positions × repeats.
+    """A study: every combination of its axes' values × test positions × repeats.
 
     `StudyConfig(axes={"theta_i": [0.1, 0.01]})` is complete: what is not given has the default
     that a TOML file's has, and all values are checked and converted as a file's are.
@@ -26,7 +26,7 @@ class StudyConfig:
     Attributes:
         axes: the values of each factor that varies, in the file's order.
         fixed: the value of every other factor.
-        zip: groups of axes that move together.
+        zip: groups of axes that move together: value k of one goes with value k of the others.
         positions: of the cube in the test runs, (x, y) in m from the robot's start.
         repeats: runs at each position.
         seed: of the demonstrations and the runs, a non-negative integer.

@@ -20,7 +20,8 @@ class AddedSensor(NamedTuple):
     Attributes:
         name: of the sensor.
         range: its highest value minus its lowest, by which σ is multiplied.
-        level: maps a seed to the sensor's value, which is constant in a demonstration.
+        level: maps the study's seed and a demonstration's index to the sensor's value in that
+            demonstration, which is constant.
         worlds: wraps an environment so that it has the sensor.
     """
 

@@ -1,7 +1,6 @@
 import numpy as np
 import pytest
 import xarray as xr
-from matplotlib.figure import Figure
 
 from jaxreplay.figures.draw import draw
 from jaxreplay.study.factors import FACTORS
@@ -36,16 +35,6 @@ def dataset(sizes, seed=0):
         name: (tuple(sizes), array) for name, array in ({"outcome": outcome} | both).items()
     }
     return xr.Dataset(variables, coords)
-
-
-@pytest.fixture
-def drawn(monkeypatch):
-    """The figures that are saved."""
-    figures, save = [], Figure.savefig
-    monkeypatch.setattr(
-        Figure, "savefig", lambda self, *a, **k: (figures.append(self), save(self, *a, **k))
-    )
-    return figures
 
 
 def numbers(axes):

@@ -1,21 +1,9 @@
 import numpy as np
-import pytest
-from matplotlib.figure import Figure
 from study_helpers import made_up_study, write
 
 from jaxreplay import open_study
 from jaxreplay.figures.outcomes import figure_3, label, title
 from jaxreplay.figures.table import table, wilson
-
-
-@pytest.fixture
-def drawn(monkeypatch):
-    """The figures that are saved."""
-    figures, save = [], Figure.savefig
-    monkeypatch.setattr(
-        Figure, "savefig", lambda self, *a, **k: (figures.append(self), save(self, *a, **k))
-    )
-    return figures
 
 
 def study(folder, text):

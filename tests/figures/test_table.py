@@ -67,8 +67,8 @@ def test_a_row_of_the_table_is_a_cell_of_the_study():
         "dithering": ("dithering", [True, False], {"symbol": "dithering"}),
     }
     header, *rows, audit = table(xr.Dataset(variables, coords)).splitlines()
-    assert "Audit: 2 runs were filtered again" in audit
-    assert "in 1 of them, at most by 2.0e-02" in audit
+    assert "Audit: 2 of the runs filtered again" in audit
+    assert "in 1, at most by 2.0e-02" in audit
     assert header.split()[:4] == ["motor", "unit", "m/s", "dithering"]
     assert [" ".join(row.split()) for row in rows[:3]] == [
         "0.0025 on 2 1 0 0 67 (21–94) 0 1 0 2.00 ± 1.00 65.00 ± 5.00",

@@ -4,7 +4,6 @@ from functools import cache
 
 import numpy as np
 import pytest
-from conftest import as_float32
 from filter_helpers import (
     Case,
     assert_agree,
@@ -20,6 +19,7 @@ from filter_helpers import (
 )
 from hypothesis import given
 from hypothesis import strategies as st
+from random_helpers import as_float32
 
 from jaxreplay import build_filter
 

@@ -6,8 +6,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from conftest import N_SENSORS, random_sequences
 from filter_helpers import own_tau_first, passing
+from random_helpers import N_SENSORS, random_sequences
 
 from jaxreplay import Params, Records, build_filter
 

@@ -5,8 +5,8 @@ import dataclasses
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from conftest import random_sequences
 from filter_helpers import both_readings
+from random_helpers import random_sequences
 
 from jaxreplay import Params, Records, build_filter, reference
 from jaxreplay.filter import READINGS, init, predict

@@ -15,9 +15,9 @@ from typing import NamedTuple
 import jax
 import numpy as np
 import pytest
-from conftest import as_float32
 from filter_adapters import InJax, InNumPy
 from filter_helpers import both_readings, x64
+from random_helpers import as_float32
 from scipy.integrate import quad
 
 COMMANDS = ((-1.0, 0.0), (0.0, 0.5), (1.0, 1.0))  # each made at several samples

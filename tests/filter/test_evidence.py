@@ -4,8 +4,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from conftest import random_sequences
 from filter_helpers import own_tau_first
+from random_helpers import random_sequences
 
 from jaxreplay import Params, Records, log_evidence, reference
 

@@ -6,7 +6,6 @@ from functools import cache
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from conftest import LENGTHS, N_SENSORS, as_float32, random_sequences
 from filter_helpers import (
     assert_agree,
     both_precisions,
@@ -20,6 +19,7 @@ from filter_helpers import (
 )
 from hypothesis import given
 from hypothesis import strategies as st
+from random_helpers import LENGTHS, N_SENSORS, as_float32, random_sequences
 
 from jaxreplay import Params, Records, build_filter
 from jaxreplay.filter.belief import NOTHING_DROPPED

@@ -4,8 +4,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from conftest import random_sequences
 from filter_helpers import COMPILE_QUICKLY, own_tau_first, passing, run_reference, x64
+from random_helpers import random_sequences
 
 from jaxreplay import Params, Records, build_filter
 

@@ -3,7 +3,7 @@
 import jax
 import numpy as np
 import pytest
-from conftest import as_float32, random_sequences
+from random_helpers import as_float32, random_sequences
 
 from jaxreplay import Params, Records, build_filter, reference
 

@@ -3,10 +3,10 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
-from conftest import N_SENSORS, as_float32, random_sequences
 from filter_helpers import both_precisions, noise, x64
 from hypothesis import given
 from hypothesis import strategies as st
+from random_helpers import N_SENSORS, as_float32, random_sequences
 from scipy.stats import norm
 
 from jaxreplay import Params, Records, reference

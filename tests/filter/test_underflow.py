@@ -3,8 +3,8 @@
 import jax
 import numpy as np
 import pytest
-from conftest import N_SENSORS, random_sequences
 from filter_helpers import both_precisions, both_readings, noise, run, run_reference, x64
+from random_helpers import N_SENSORS, random_sequences
 
 from jaxreplay import Params, build_filter
 

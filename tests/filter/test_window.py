@@ -1,8 +1,8 @@
 """A window that travels with the belief: what it stores suffices, what it drops is reported."""
 
 import numpy as np
-from conftest import N_SENSORS
 from filter_helpers import noise, own_tau_first, run
+from random_helpers import N_SENSORS
 
 from jaxreplay import Params, build_filter
 from jaxreplay.filter.belief import NOTHING_DROPPED

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
-from conftest import random_sequences
 from filter_helpers import own_tau_first
+from random_helpers import random_sequences
 
 from jaxreplay import Params, Records, reference
 from jaxreplay.loop import tracker

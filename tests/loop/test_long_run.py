@@ -3,8 +3,8 @@
 import jax
 import numpy as np
 import pytest
-from conftest import as_float32
 from filter_helpers import tolerance
+from random_helpers import as_float32
 
 from jaxreplay import Params, Records, build_filter, reference
 from jaxreplay.loop.tracker import Tracker

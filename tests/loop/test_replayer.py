@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from conftest import as_float32, random_sequences
+from random_helpers import as_float32, random_sequences
 
 from jaxreplay import Params, Records, Replayer, build_filter, reference
 from jaxreplay.loop import replayer as live

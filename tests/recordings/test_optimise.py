@@ -7,7 +7,6 @@ from recordings_helpers import (
     expected,
     far_from_zero,
     gradient_compiled_quickly,
-    walks,
 )
 
 from jaxreplay import Params, Records, reference
@@ -19,16 +18,6 @@ from jaxreplay.recordings.scores import command_scale, default_params, leave_one
 def quickly():
     with gradient_compiled_quickly():
         yield
-
-
-@pytest.fixture(scope="module")
-def sequences():
-    return walks()
-
-
-@pytest.fixture(scope="module")
-def records(sequences):
-    return Records.from_sequences(*sequences)
 
 
 @pytest.mark.parametrize(

@@ -4,20 +4,10 @@ import jax
 import numpy as np
 import pytest
 from filter_helpers import both_readings
-from recordings_helpers import GRID, TUNED_LENGTHS, expected, far_from_zero, walks
+from recordings_helpers import GRID, TUNED_LENGTHS, expected, far_from_zero
 
 from jaxreplay import Records, reference
 from jaxreplay.recordings.scores import default_params, leave_one_out, leave_out, sensor_span
-
-
-@pytest.fixture(scope="module")
-def sequences():
-    return walks()
-
-
-@pytest.fixture(scope="module")
-def records(sequences):
-    return Records.from_sequences(*sequences)
 
 
 @both_readings

@@ -1,7 +1,7 @@
 import jax
 import numpy as np
 import pytest
-from conftest import random_sequences
+from random_helpers import random_sequences
 
 from jaxreplay import Params, Records, reference, replay
 from jaxreplay.plane.env import PlaneVectorEnv

@@ -12,6 +12,9 @@ def test_a_run_is_found_by_its_number_or_its_values():
     values = {"jump": "own_tau", "theta_i": 0.0316, "position": 1, "repeat": 2}
     assert find_run(CONFIG, values) == 3 * 15 + 1 * 3 + 2
     assert find_run(CONFIG, {}) == 0
+    fewer = StudyConfig({"records": [6, [0, 4]]}, {"theta_i": 0.1})
+    assert find_run(fewer, {"records": [0, 4]}) == find_run(fewer, {"records": "0 4"}) == 15
+    assert find_run(fewer, {"records": 6}) == 0
 
 
 @pytest.mark.parametrize(
