@@ -1,15 +1,18 @@
 """Studies on disk, whose results are made up instead of computed."""
 
 import json
+from functools import cache
 
 import numpy as np
 import xarray as xr
 
-from jaxreplay.plane.params import COMMAND_NAMES, SENSOR_NAMES
+from jaxreplay.plane.params import COMMAND_NAMES, SENSOR_NAMES, PlaneParams
+from jaxreplay.plane.positions import DEMONSTRATED
 from jaxreplay.records import Records
 from jaxreplay.study import store
 from jaxreplay.study.config import load_config
 from jaxreplay.study.dataset import OUTCOMES, STALLS, VARIABLES
+from jaxreplay.study.demonstrations import record
 from jaxreplay.study.runs import runs_of, shard_size, shards_of
 
 SMALL = """
@@ -48,6 +51,21 @@ def some_records(n=20, rows=5):
     """Records of the plane's sensors and commands; all rows of record i are i."""
     sensors = [np.full((rows, 7), float(i)) for i in range(n)]
     return Records.from_sequences(sensors, [np.zeros((rows, 5))] * n, SENSOR_NAMES, COMMAND_NAMES)
+
+
+@cache
+def beginnings():
+    """Demonstrations that end as the robot begins to advance, so that runs are short."""
+    sensors, commands = record(PlaneParams(), DEMONSTRATED, 3).sequences()
+    return Records.from_sequences(
+        [s[:90] for s in sensors], [c[:90] for c in commands], SENSOR_NAMES, COMMAND_NAMES
+    )
+
+
+def of_beginnings(folder, text):
+    """The study of a text, of which the runs are short, written into a folder."""
+    beginnings().save(folder / "beginnings.npz")
+    return write(folder, f'demonstrations = "{folder / "beginnings.npz"}"\n{text}')
 
 
 def made_up_study(config, folder, seed=0, **manifest):

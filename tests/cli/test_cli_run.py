@@ -1,9 +1,9 @@
 import re
 
 import pytest
-from study_helpers import SMALL, write
+from study_helpers import SMALL, of_beginnings, write
 
-from jaxreplay import cli, open_study
+from jaxreplay import Records, cli, open_study
 from jaxreplay.figures.table import table
 from jaxreplay.study import cost
 from jaxreplay.study.config import load_config
@@ -32,8 +32,11 @@ def test_a_study_leaves_dataset_figure_and_demonstrations(study):
         "notes.txt",
     }  # fmt: skip
     assert (folder / "notes.txt").read_text() == "mine"
+    assert Records.load(demonstrations).n_records == 20
     dataset = open_study(folder)
-    assert (dataset.outcome != "").all()
+    assert dataset.sizes["demonstration"] == 20
+    assert dataset.outcome.item() == "S"
+    assert 0 < dataset.alignment_error.item() < 20  # mm: no magnet holds a face further aside
     assert config_of(dataset) == load_config(config, ["positions=[[0.3, 0]]"])
 
 
@@ -54,7 +57,8 @@ def test_a_finished_study_is_not_run_again_but_printed_and_drawn(study, capsys):
 
 def test_a_dry_run_measures_what_a_study_takes_and_leaves_nothing(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(cost, "SAMPLE", 2)
-    config, out = write(tmp_path, SMALL + "motor_unit = [0.005, 0.01]\n"), tmp_path / "out"
+    config = of_beginnings(tmp_path, SMALL + "motor_unit = [0.005, 0.01]\n")
+    out = tmp_path / "out"
     given = ["run", str(config), "--out", str(out), "--dry-run", "--set", "slots=3"]
     assert cli.main(given) == 0
     printed = capsys.readouterr().err

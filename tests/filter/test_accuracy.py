@@ -206,7 +206,13 @@ def test_float32_agrees_with_the_reference_in_other_shapes(name, jump):
 
 
 @own_tau_first
-@pytest.mark.parametrize("name", UP_TO_30)
+@pytest.mark.parametrize(
+    "name",
+    [
+        name if k % 2 == 0 else pytest.param(name, marks=pytest.mark.slow)
+        for k, name in enumerate(UP_TO_30)
+    ],
+)
 def test_float64_agrees_with_the_reference(name, jump):
     check(made(name), expected(name, jump), jump, "float64")
 

@@ -105,10 +105,10 @@ def test_windows_change_no_command_by_what_the_robot_could_tell(records):
 
 
 def test_a_step_that_drops_too_much_is_done_again_wider(records, monkeypatch):
-    monkeypatch.setattr(module, "WINDOWS", (32, 64))
-    result = run(records, TESTED[1:2], "same_tau", SHORT)
+    monkeypatch.setattr(module, "WINDOWS", (64,))
+    result = run(records, TESTED[1:2], "own_tau", SHORT)
     monkeypatch.setattr(module, "WINDOWS", ())
-    whole = run(records, TESTED[1:2], "same_tau", SHORT)
+    whole = run(records, TESTED[1:2], "own_tau", SHORT)
     assert result.widened > 0
     assert whole.widened == 0
     assert result.log_evidence == pytest.approx(whole.log_evidence, rel=1e-5)
@@ -192,9 +192,9 @@ def same(one, other, which=slice(None)):
 
 def test_the_same_again_and_no_matter_how_many_beside(records):
     positions = TESTED[np.arange(9) % 5]
-    first = run(records, positions, "same_tau", SHORT)
-    same(first, run(records, positions, "same_tau", SHORT))
-    same(first, run(records, positions[:1], "same_tau", SHORT), slice(1))
+    first = run(records, positions, "own_tau", SHORT)
+    same(first, run(records, positions, "own_tau", SHORT))
+    same(first, run(records, positions[:1], "own_tau", SHORT), slice(1))
 
 
 def test_more_replays_than_slots_come_to_the_same_as_all_at_once(beginnings):

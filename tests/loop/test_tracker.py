@@ -3,10 +3,11 @@ from functools import cache
 import jax
 import numpy as np
 import pytest
-from filter_helpers import case, noise, own_tau_first, params_of
+from filter_helpers import both_readings, case, noise, own_tau_first, params_of
 from random_helpers import as_float32
 
 from jaxreplay import Params, Records
+from jaxreplay.loop import tracker
 from jaxreplay.loop.audit import audit
 from jaxreplay.loop.lanes import steps
 from jaxreplay.loop.tracker import Tracker
@@ -138,13 +139,15 @@ def assert_windows_cost_nothing(case, jump):
     assert found.command <= 1e-4
 
 
-TELLING = ("stalled on a walk", "strayed by 30 σ", "turned back")
+@pytest.mark.parametrize("name", ["stalled on a walk", "strayed by 30 σ", "turned back"])
+def test_a_narrow_window_costs_nothing(name, monkeypatch):
+    monkeypatch.setattr(tracker, "WINDOWS", NARROW)
+    assert_windows_cost_nothing(CASES[name](), "own_tau")
 
 
-@own_tau_first
-@pytest.mark.parametrize(
-    "name", [n if n in TELLING else pytest.param(n, marks=pytest.mark.slow) for n in CASES]
-)
+@pytest.mark.slow
+@both_readings
+@pytest.mark.parametrize("name", CASES)
 def test_windows_cost_nothing(name, jump):
     assert_windows_cost_nothing(CASES[name](), jump)
 

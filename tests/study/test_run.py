@@ -1,11 +1,10 @@
 import numpy as np
 import pytest
 import xarray as xr
-from study_helpers import SMALL, write
+from study_helpers import SMALL, of_beginnings
 
 import jaxreplay as jr
 from jaxreplay.plane.positions import TESTED
-from jaxreplay.records import Records
 from jaxreplay.study.config import load_config
 from jaxreplay.study.open import config_of
 from jaxreplay.study.run import run_study
@@ -24,10 +23,9 @@ dithering = [true, false]
 
 @pytest.fixture(scope="module")
 def study(tmp_path_factory):
-    """A small study, among files of somebody else's."""
+    """A small study."""
     folder = tmp_path_factory.mktemp("out")
-    (folder / "notes.txt").write_text("mine")
-    config = write(tmp_path_factory.mktemp("config"), SMALL)
+    config = of_beginnings(tmp_path_factory.mktemp("config"), SMALL)
     run_study(load_config(config), folder)
     return config, folder
 
@@ -36,23 +34,18 @@ def study(tmp_path_factory):
 def dithered(tmp_path_factory):
     """A study of which the one above is a half, and what running it returned."""
     folder = tmp_path_factory.mktemp("dithered")
-    return folder, run_study(load_config(write(folder, DITHERED)), folder)
+    return folder, run_study(load_config(of_beginnings(folder, DITHERED)), folder)
 
 
 def test_the_dataset_is_labelled(study):
     dataset = jr.open_study(study[1])
-    sizes = {"theta_i": 1, "jump": 1, "position": 5, "repeat": 1, "demonstration": 20}
+    sizes = {"theta_i": 1, "jump": 1, "position": 5, "repeat": 1}
     assert dict(dataset.sizes) == sizes
     assert dataset.outcome.dims == ("theta_i", "jump", "position", "repeat")
     assert dataset.alignment_error.attrs["units"] == "mm"
     assert dataset.duration.attrs["units"] == "s"
     np.testing.assert_array_equal(dataset.cube_x, TESTED[:, 0])
     assert set(np.unique(dataset.outcome)) <= {"S", "Fs", "Fg", "Fb"}
-    won = dataset.sel(theta_i=0.01, jump="own_tau").outcome == "S"
-    assert won.any()
-    errors = dataset.alignment_error.values[0, 0]
-    np.testing.assert_array_equal(np.isfinite(errors), won.values)
-    assert np.nanmax(errors) < 20  # mm: no magnet holds a face further aside
     assert np.isfinite(dataset.log_evidence).all()
 
 
@@ -84,12 +77,3 @@ def test_a_run_comes_to_the_same_in_whichever_study_it_stands(study, dithered):
 def test_the_same_seed_gives_the_same_study(study, tmp_path):
     config, folder = study
     xr.testing.assert_identical(run_study(load_config(config), tmp_path), jr.open_study(folder))
-
-
-def test_a_study_leaves_its_dataset_and_demonstrations(study):
-    _, folder = study
-    names = {path.name for path in folder.iterdir()}
-    (demonstrations,) = folder.glob("demonstrations_*.npz")
-    assert names == {"study.json", "study.lock", "shards", demonstrations.name, "notes.txt"}
-    assert (folder / "notes.txt").read_text() == "mine"
-    assert Records.load(demonstrations).n_records == 20
