@@ -1,8 +1,9 @@
 """The model in plain NumPy and float64: read this file first, beside section 2 of the paper.
 
-Each function is one equation. Functions have the names of their JAX counterparts in
-:mod:`jaxreplay.filter`, which take `Records` for the lists, and divide equation 2 by the density of
-one point near the observation, its anchor. The two share no code, and tests hold both to the paper.
+Most functions are one equation each. They have the names of their JAX counterparts in
+:mod:`jaxreplay.filter`, which take `Records` for the lists, and divide equation 2 by
+N(Z_t; anchor, σ²), where the anchor is one point near the observation. The two share no code, and
+tests hold both to the paper.
 Everything is computed in logarithms, so that no probability underflows.
 
 - `sensors` and `commands` are lists of N arrays, (L_i, n_s) and (L_i, n_u): the records Π (§ 2.1).

@@ -1,7 +1,8 @@
 """The command line: `jaxreplay COMMAND`, one module for each command.
 
-A user's mistake is reported in one line on stderr, with status 2, before any work is done. Modules
-import slow packages (JAX, xarray, Matplotlib) only when their command runs.
+A user's mistake is reported in one line on stderr (after the usage, if an argument is wrong), with
+status 2, before any work is done. Modules import slow packages (JAX, xarray, Matplotlib) only when
+their command runs.
 """
 
 import argparse

@@ -14,8 +14,8 @@ def add_to(commands: Commands) -> None:
         "tune",
         help="choose parameters from records alone",
         description="Leave each record out in turn, filter it with the others, and follow the "
-        "gradient of how well its commands are predicted. Prints and saves the parameters, and "
-        "draws a figure of scores and parameters at each step.",
+        "gradient of the score. Prints and saves the parameters, and draws a figure of the "
+        "parameters after each step, with the scores after some.",
     )
     parser.add_argument("records", type=Path, metavar="RECORDS", help="an .npz file of records")
     parser.add_argument(

@@ -1,1 +1,1 @@
-"""Figures, tables and animations; of a study they read nothing but its dataset."""
+"""Figures, tables and animations; of a study they read its dataset, or the trace of one run."""

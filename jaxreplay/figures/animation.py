@@ -109,7 +109,7 @@ def still(run: Trace) -> Image.Image:
 
 
 def frames(steps: int, speed: float, period: float) -> list[int]:
-    """Return the indices of the steps to show, `period` s apart; the last is always among them."""
+    """Return the indices of the steps to show, the last among them; steps are `period` s apart."""
     apart = speed / FRAMES / period
     shown = np.arange(0, steps - 1, apart).astype(int)
     return [*dict.fromkeys(shown.tolist()), steps - 1]

@@ -1,7 +1,9 @@
 """The figure of an inspection: all records over time, with the unusual ones marked."""
 
+from collections.abc import Iterable
 from typing import Any
 
+import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
@@ -12,7 +14,7 @@ from jaxreplay.recordings.inspect import Inspection, table_of
 from jaxreplay.records import Records
 
 FORMATS = ("png", "pdf", "svg", "jpg")
-USUAL: dict[str, Any] = {"color": "0.65", "linewidth": 0.4}
+OTHERS: dict[str, Any] = {"color": "0.65", "linewidth": 0.4}  # beside marked records
 # Each marked record has a dark colour, to stand out from the grey ones, and dashes of its own, by
 # which it is recognised in a print without colour.
 MARKS: tuple[dict[str, Any], ...] = tuple(
@@ -33,7 +35,8 @@ def inspection_figure(records: Records, inspection: Inspection) -> Picture:
 
     The first panel shows the lengths; then each sensor and command has one, in its own units. The
     first records that findings name are marked: in the panel of the finding's column, or in all
-    panels if the finding concerns whole records. A ring marks the worst case of a finding.
+    panels if the finding concerns whole records. A ring marks the worst case of a finding. Where no
+    record is named, each has its own shade, which its bar in the first panel shows too.
 
     Args:
         records: N records.
@@ -42,12 +45,15 @@ def inspection_figure(records: Records, inspection: Inspection) -> Picture:
     rows, (lengths, period, columns, findings) = table_of(records), inspection
     named = list(dict.fromkeys(i for finding in findings for i in finding.records))
     marks = dict(zip(named, MARKS, strict=False))
+    shades = matplotlib.colormaps["viridis"](np.linspace(0, 0.9, len(rows)))
+    plain = [OTHERS if named else {"color": shade, "linewidth": 0.6} for shade in shades]
+    styles = {i: marks.get(i, plain[i]) for i in range(len(rows))}
     scale, unit = (1, "rows") if period is None else (period, "s")
     used, across = len(columns) + 1, 2 if len(columns) < 6 else 3
     down = -(-used // across)
     figure = Picture(figsize=(8, 1.45 * down + 0.5))
     panels = figure.subplots(down, across, squeeze=False).ravel()
-    _lengths(panels[0], scale * lengths, unit, marks)
+    _lengths(panels[0], scale * lengths, unit, styles, marks)
     for k, (axes, column) in enumerate(zip(panels[1:], columns, strict=False)):
         about = [finding for finding in findings if finding.column in (None, k)]
         shown = {i for finding in about for i in finding.records if i in marks}
@@ -55,7 +61,7 @@ def inspection_figure(records: Records, inspection: Inspection) -> Picture:
             values = rows[i][:, k]
             axes.plot(
                 scale * np.arange(len(values)), values, marker="" if len(values) > 1 else ".",
-                rasterized=True, **(marks[i] if i in shown else USUAL),
+                rasterized=True, **(marks[i] if i in shown else plain[i]),
             )  # fmt: skip
         for i, t in (finding.at for finding in about if finding.at):
             colour, point = marks.get(i, {"color": "black"})["color"], (scale * t, rows[i][t, k])
@@ -76,7 +82,7 @@ def inspection_figure(records: Records, inspection: Inspection) -> Picture:
         more = len(named) - len(marks)
         rest = f"others, {more} of them named in the text" if more else "others"
         if len(marks) < len(rows):
-            keys.append(Line2D([], [], **USUAL, label=rest))
+            keys.append(Line2D([], [], **OTHERS, label=rest))
         figure.legend(
             handles=keys, loc="outside upper center", ncols=4, frameon=False, fontsize=8,
             handlelength=4,
@@ -84,10 +90,15 @@ def inspection_figure(records: Records, inspection: Inspection) -> Picture:
     return figure
 
 
-def _lengths(axes: Axes, lengths: np.ndarray, unit: str, marks: dict[int, dict[str, Any]]) -> None:
-    """Draw the records' lengths as bars, those of marked records in their colours."""
-    colours = [marks[i]["color"] if i in marks else USUAL["color"] for i in range(len(lengths))]
-    axes.bar(range(len(lengths)), lengths, color=colours)
+def _lengths(
+    axes: Axes,
+    lengths: np.ndarray,
+    unit: str,
+    styles: dict[int, dict[str, Any]],
+    marks: Iterable[int],
+) -> None:
+    """Draw the records' lengths as bars in the records' colours, and the numbers of marked ones."""
+    axes.bar(range(len(lengths)), lengths, color=[styles[i]["color"] for i in styles])
     axes.axhline(np.median(lengths), color="black", linewidth=0.8, linestyle="--")
     for i in marks:
         axes.annotate(f"{i}", (i, lengths[i]), ha="center", va="bottom", fontsize=7)

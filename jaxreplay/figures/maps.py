@@ -28,6 +28,7 @@ def factor_map(dataset: xr.Dataset) -> Picture:
     dims = axes_of(dataset)
     numeric = sorted((d for d in dims if is_number(dataset, d)), key=lambda d: -dataset.sizes[d])
     x, y = sorted(numeric[:2], key=dims.index)
+    dataset = dataset.sortby([x, y])
     panels = list(cells(dataset, [d for d in dims if d not in (x, y)]))
     figure, axes = _panels(
         len(panels), 0.34 * dataset.sizes[x] + 0.35, 0.27 * dataset.sizes[y] + 0.6
@@ -43,7 +44,7 @@ def factor_map(dataset: xr.Dataset) -> Picture:
         ax.set_yticks(range(rate.shape[0]), [tick_text(y, v) for v in dataset[y].values])
         if k % COLUMNS:
             ax.tick_params(labelleft=False)
-        ax.set_title(_wrapped(figure, title(dataset, values), len(panels)), fontsize=8)
+        ax.set_title(_wrapped(figure, title(dataset, values), len(panels)), fontsize=8, loc="left")
     _label_axes(figure, label(dataset, x), label(dataset, y))
     return _finish(figure, axes, panels[0][1])
 
@@ -73,8 +74,9 @@ def position_map(dataset: xr.Dataset) -> Picture:
             _number(ax, x, y, value)
         if "demonstrated_x" in dataset.coords:
             ax.add_patch(_demonstrated(dataset))
+        ax.margins(0.12)
         ax.invert_xaxis()  # the robot's left is on the left
-        ax.set_title(_wrapped(figure, title(dataset, values), len(panels)), fontsize=8)
+        ax.set_title(_wrapped(figure, title(dataset, values), len(panels)), fontsize=8, loc="left")
     if "demonstrated_x" in dataset.coords:
         handles = axes[0].get_legend_handles_labels()
         figure.legend(*handles, loc="outside upper left", frameon=False)

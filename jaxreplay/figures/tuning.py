@@ -1,4 +1,4 @@
-"""The figure of scores and parameters at each optimisation step."""
+"""The figure of parameters after each optimisation step, and of scores at the checkpoints."""
 
 from typing import Any
 

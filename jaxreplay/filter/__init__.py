@@ -47,7 +47,7 @@ def build_filter(jump: Jump = DEFAULT_JUMP, window: int | None = None) -> Filter
             own distribution over τ (see :mod:`jaxreplay.filter.transition`).
         window: samples of each record to store, in a window that travels with the belief (see
             :mod:`jaxreplay.filter.window`). Probability outside it is lost; `Belief.dropped` tells
-            how much at most in one sample. None stores all samples.
+            how probable the most probable lost hypothesis was. None stores all samples.
 
     Raises:
         ValueError: `jump` is not one of `READINGS`, or the window is too narrow.

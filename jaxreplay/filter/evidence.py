@@ -28,8 +28,9 @@ def log_evidence(
     Args:
         records: N records, the sequence not among them.
         params: one set of parameters.
-        observations: `[T, n_s]` Z_1 … Z_T in the sensors' units; NaN marks a missing sensor. Give
-            NumPy arrays where the records have an offset (see :class:`jaxreplay.Records`).
+        observations: `[T, n_s]` Z_1 … Z_T in the sensors' units; NaN marks a missing sensor. Where
+            the records have an offset (see :class:`jaxreplay.Records`), give NumPy arrays; under
+            `jax.vmap`, give `records.centred()` and `records.centre(observations)`.
         jump: `"same_tau"` or `"own_tau"`; under the latter it is the evidence of that
             approximation (see :func:`jaxreplay.filter.transition.predict_own_tau`).
 

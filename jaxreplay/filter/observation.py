@@ -20,9 +20,9 @@ def likelihood(records: Records, params: Params, z: jax.Array, anchor: jax.Array
         ∏_k ½ [mean of N over ζ_{j−1} … ζ_j  +  mean of N over ζ_j … ζ_{j+1}]_k
 
     Far from all records (hundreds of σ) these densities can differ by less than the rounding of
-    their logarithms. Therefore each is divided by N(z; anchor, σ²), where the anchor is one point,
-    the same for all i and j, as near the observation as the records are. The factor cancels in
-    equation 9; :func:`log_density` gives it.
+    their logarithms. Therefore each is divided by N(z; anchor, σ²). The anchor is one point, the
+    same for all i and j, about as near the observation as the nearest record. The factor cancels
+    in equation 9; :func:`log_density` gives it.
 
     The paper leaves these points open; here: N(t, σ²) is the normal density of Z_t − t; the first
     and last sample of a record touch one segment, which carries full weight; a segment of length

@@ -115,9 +115,8 @@ def _inside(lengths: jax.Array, mass: Scaled) -> jax.Array:
 def _sum_of_others(mass: Scaled) -> Scaled:
     """Return Σ_{i' ≠ i} mass[i'] for every i along axis 0, without cancellation.
 
-    The total minus the term itself is accurate where another term has the same exponent, the
-    highest. Where one term alone has it, the others are summed by themselves. The mantissas
-    returned are not in [1, 2).
+    The total minus the term is accurate, unless this term alone has the highest exponent; then the
+    others are summed by themselves. The mantissas returned need not be in [1, 2).
     """
     highest = jnp.max(mass.exponent, axis=0, keepdims=True)
     top = mass.exponent == highest

@@ -5,8 +5,8 @@ lengths counted from its start. A belief wider than its window loses probability
 `Belief.dropped` records the most probable hypothesis lost, as a log2. The loss matters even where
 it is tiny: a hypothesis of 2^-100 may win later, when an observation rules out all others. A step
 that dropped too much can be computed again from the belief before it, which :func:`resize` brings
-to a wider window. After t steps τ ≤ 2 t: up to step (W − STRIDE) / 2 no probability has reached
-the leading `STRIDE` columns, so no window has moved and nothing is lost.
+to a wider window. After t steps τ ≤ 2 t: while 2 t < W − STRIDE no probability has reached the
+leading `STRIDE` columns, so no window has moved and nothing is lost.
 """
 
 import dataclasses

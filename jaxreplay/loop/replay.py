@@ -64,8 +64,8 @@ def replay(
 
     A slot is a sub-environment of `env`; it has one replay at a time. All slots advance together,
     and a slot whose replay has ended is given the next. A replay is complete when p(τ in the last
-    10 samples) exceeds 0.9 (§ 2.2.5): if the goal is to be reached, record 10 more samples after
-    it.
+    10 samples) exceeds 0.9 (§ 2.2.5). So it may end up to 10 samples before its records do: let
+    them go on for 10 samples after the goal is reached.
 
     Args:
         records: demonstrations of the environment's observations and actions.
@@ -112,8 +112,8 @@ class _StepResult(NamedTuple):
 class _Trackers:
     """Trackers for B slots, `LANES` slots each, stepped in threads.
 
-    All have `LANES` lanes, so that the same compiled programs serve; the last has lanes without a
-    slot, which never observe.
+    All have `LANES` lanes, so that the same compiled programs serve. The last may have lanes
+    without a slot; these never observe.
     """
 
     def __init__(self, records, params, slots: int, jump: Jump, make: MakeTracker, threads):
@@ -196,7 +196,8 @@ class _Loop:
         self.going[take] = True
         self.started += len(take)
         taken = np.isin(np.arange(slots), take)
-        # At first every slot; later also slots that are over, which cannot be stepped any more.
+        # At first every slot; later those that take a replay, and those that are over without one:
+        # these cannot be stepped any more.
         fresh = free if nothing_started else taken | (self.over & ~self.going)
         if not fresh.any():
             return

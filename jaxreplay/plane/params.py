@@ -35,8 +35,8 @@ class PlaneParams:
     with its unit and source, where it is defined.
 
     Raises:
-        ValueError: a value that is not finite, negative, or 0 where it may not be; a gripper that
-            does not fit the robot; an area without the robot.
+        ValueError: a value that is infinite or NaN, or negative or 0 where it may not be; a gripper
+            that does not fit the robot; an area without the robot.
     """
 
     # Time
@@ -133,7 +133,7 @@ class PlaneParams:
         for good, message in (
             (
                 len(self.proximeter_offsets) == N_PROXIMETERS,
-                "proximeter_offsets must be 6",
+                "proximeter_offsets must be 6 numbers",
             ),
             (margin > 0, "area must contain the robot's hull at the origin"),
             (self.low < self.high, "low must be less than high"),

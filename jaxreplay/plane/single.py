@@ -31,7 +31,7 @@ class PlaneEnv(gymnasium.Env):
 
         Args:
             seed: of all randomness in the world; drawn if it is None.
-            options: those of :meth:`PlaneVectorEnv.reset`, each a single value.
+            options: those of :meth:`PlaneVectorEnv.reset`, without the axis B; `cube` is `[3]`.
 
         Raises:
             ValueError: an option is unknown, has the wrong shape or is out of range.

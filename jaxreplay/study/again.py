@@ -117,7 +117,9 @@ def _with_values(config: StudyConfig, wanted: Mapping[str, Any]) -> int:
     for name, value in wanted.items():
         if name not in columns:
             known = ", ".join((*config.axes, "position", "repeat"))
-            raise ConfigError(f"run {name}={value}: the study has no {name}; it has {known}")
+            raise ConfigError(
+                f"run {name}={value}: the study has no {name}; what varies is {known}"
+            )
         column = columns[name]
         value = _as_stored(name, value)
         same = np.array([_same(value, each) for each in column.tolist()])
@@ -139,8 +141,8 @@ def _as_stored(name: str, value: Any) -> Any:
 
 
 def _same(given: Any, value: Any) -> bool:
-    """Return whether a value is the one given, numbers to 1 % (0.0316 is 10^-1.5)."""
-    if isinstance(value, bool | str) or value is None or isinstance(given, bool | str):
+    """Return whether a value is the one given, floats to 1 % (0.0316 is 10^-1.5)."""
+    if isinstance(value, int | str) or value is None or isinstance(given, bool | str):
         return given == value and isinstance(given, bool) == isinstance(value, bool)
     return bool(np.isclose(given, value, rtol=0.01, atol=0))
 

@@ -1,8 +1,8 @@
 """What the dataset of a study contains, for those who make it and those who draw it.
 
-Dimensions are the study's axes, then `position` and `repeat`. Every factor is a coordinate: along
-its axis, or a scalar where it is fixed. Its attributes `symbol`, `long_name` and, of a number,
-`units` say how to write it.
+Dimensions are the study's axes, then `position` and `repeat`. Every factor with a value is a
+coordinate: along its axis, or a scalar where it is fixed. Its attributes `symbol`, `long_name` and,
+of a number, `units` say how to write it.
 """
 
 from collections.abc import Iterator, Mapping

@@ -85,7 +85,8 @@ def choose_records(value: str, n_records: int, seed: int, repeat: int) -> list[i
         value: `"6 drawn"`, or numbers such as `"0 4 19"`.
         n_records: how many records there are.
         seed: the study's seed.
-        repeat: the run's repeat; each draws anew, whatever its other factors.
+        repeat: the run's repeat. Runs of one repeat draw the same records, whatever their other
+            factors; each repeat draws anew.
 
     Raises:
         ValueError: there are fewer records than that.

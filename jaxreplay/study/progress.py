@@ -12,9 +12,9 @@ from jaxreplay.study.dataset import OUTCOMES
 class Progress:
     """Shows the progress of a study: a bar on a terminal, else a line for every tenth of the work.
 
-    Work is counted in simulated seconds, since runs that advance together end together. A run that
-    has not ended is expected to last as long as the mean of those ended; while there are none, as
-    long as it may.
+    Work is counted in simulated seconds: runs that advance together end at about the same time, so
+    a count of ended runs would stand still and then leap. A run that has not ended is expected to
+    last as long as the mean of those ended; while there are none, as long as it may.
 
     An instance is called as `run_study` calls its `progress`.
     """

@@ -1,7 +1,7 @@
 """A study on disk: a manifest, and one netCDF file for each finished shard of its runs.
 
-Files are written completely or not at all, so a killed process leaves no partial file and keeps
-every finished shard.
+Files are written completely or not at all. A killed process leaves at most a `.part` file, which
+nothing reads, and keeps every finished shard.
 """
 
 import hashlib
@@ -48,7 +48,7 @@ def manifest_of(config: StudyConfig, records: Records, shard_size: int) -> dict[
     for array in (records.nodes, records.commands, records.lengths, records.offset):
         content.update(np.ascontiguousarray(array).tobytes())
     settings = asdict(config) | {"demonstrations": str(config.demonstrations or "")}
-    # Without a value a factor is left out, so that adding one changes no existing study.
+    # A factor without a value is left out, so that a new kind of factor changes no existing study.
     del settings["plane"]
     settings["fixed"] = {name: v for name, v in config.fixed.items() if v is not None}
     identity = {

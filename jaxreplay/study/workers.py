@@ -24,7 +24,7 @@ _MALLOC = {"M_TRIM_THRESHOLD": (-1, 2**25), "M_MMAP_THRESHOLD": (-3, 2**25), "M_
 
 @contextmanager
 def local_workers(n: int) -> Iterator[RunEach]:
-    """Open n worker processes on this machine, each with one thread and, on Linux, its own core.
+    """Open n worker processes on this machine, each with one thread, on Linux pinned to a core.
 
     A process on its own core steps the filter faster than a thread that shares a process.
     """

@@ -1,17 +1,19 @@
 import numpy as np
 import pytest
+from matplotlib.colors import to_rgb
 from PIL import Image
 from recordings_helpers import sequences
 
 from jaxreplay import Records
-from jaxreplay.figures.inspection import inspection_figure
+from jaxreplay.figures.inspection import MARKS, inspection_figure
 from jaxreplay.recordings.inspect import inspect
 
 
 def marked(image):
-    """Pixels that are not grey: those of records that findings name."""
+    """Pixels in the colour of the first record that findings name."""
     values = np.asarray(image.convert("RGB"), int)
-    return np.sum(np.ptp(values, axis=2) > 60)
+    first = 255 * np.array(to_rgb(MARKS[0]["color"]))
+    return np.sum(np.abs(values - first).max(axis=2) < 10)
 
 
 def test_the_figure_marks_what_was_found(tmp_path):

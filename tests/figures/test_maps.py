@@ -51,12 +51,12 @@ def test_a_map_of_two_factors_tells_the_share_of_successes(drawn, tmp_path):
     assert draw(data, tmp_path) == "map.png and map.pdf"
     assert {path.name for path in tmp_path.iterdir()} == {"map.png", "map.pdf"}
     panels = [ax for ax in drawn[0].axes if ax.texts]
-    assert [ax.get_title() for ax in panels] == ["dithering off", "dithering on"]
-    for k, ax in enumerate(panels):  # theta_i has most values, sigma stands before it
+    assert [ax.get_title(loc="left") for ax in panels] == ["dithering off", "dithering on"]
+    for k, ax in enumerate(panels):  # both from small to large
         cells = data.outcome.values[:, k]
-        expected = [percent(cells[i, j]) for j in range(4) for i in range(3)]
+        expected = [percent(cells[i, j]) for j in (3, 2, 1, 0) for i in (2, 1, 0)]
         assert numbers(ax) == [number for cell in expected for number in cell]
-        assert [t.get_text() for t in ax.get_xticklabels()] == ["0.3", "0.15", "0.075"]
+        assert [t.get_text() for t in ax.get_xticklabels()] == ["0.075", "0.15", "0.3"]
 
 
 def test_a_map_of_positions_tells_the_share_of_successes_at_each(drawn, tmp_path):

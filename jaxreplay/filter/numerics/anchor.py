@@ -40,8 +40,9 @@ def anchor_point(records: Records, params: Params, belief: Scaled, z: jax.Array)
     """Choose the anchor for an observation.
 
     It is the observation, clipped to the range of each sensor in the records, as long as log2 of
-    every density relative to it exceeds `LOWEST` / n_s. Farther away (thousands of σ) it is the
-    point closest to z on the segments of the state that equation 9 will favour.
+    every density relative to it exceeds `LOWEST` / n_s. Farther away (millions of σ, for 7 sensors
+    whose records span 10 σ) it is the point closest to z on the segments of the state that
+    equation 9 will favour.
 
     Args:
         records: N records, centred.

@@ -30,7 +30,7 @@ _EXP2 = {  # polynomials for 2^x, |x| ≤ ½: relative error 1e-9 (float32), 1e-
     np.dtype(dtype): fit(lambda x: 2 ** (x / 2), degree) * 2.0 ** np.arange(degree, -1, -1)
     for dtype, degree in ((np.float32, 6), (np.float64, 12))
 }
-_ROOM = 12  # mantissas that are not in [1, 2) are within 2^±12
+_ROOM = 12  # `exp2` clips the exponent of its mantissas to this, either way
 
 
 @partial(jax.tree_util.register_dataclass, data_fields=["mantissa", "exponent"], meta_fields=[])
