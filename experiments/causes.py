@@ -20,6 +20,7 @@ import argparse
 import json
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from itertools import product
 from pathlib import Path
 from textwrap import fill
@@ -32,6 +33,7 @@ from plain_filter import PlainTracker
 from jaxreplay import Params, Records
 from jaxreplay.figures.outcomes import READINGS, tick_text
 from jaxreplay.figures.table import rate, wilson
+from jaxreplay.loop.controller import FilterController
 from jaxreplay.loop.replay import replay
 from jaxreplay.loop.tracker import Tracker
 from jaxreplay.machine import keep_compiled, write_whole
@@ -117,7 +119,13 @@ def run(
     seeds = [seed_of(SEED, k) for k in range(n)]
     options = {"cube": facing(positions)}
     replays = replay(
-        records, params, env, seeds, jump=jump, options=options, tracker=variant.tracker
+        records,
+        params,
+        env,
+        seeds,
+        jump=jump,
+        options=options,
+        controller=partial(FilterController, tracker=variant.tracker),
     )
     return outcomes(replays).tolist()
 

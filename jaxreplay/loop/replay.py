@@ -1,7 +1,6 @@
-"""The closed loop (§ 2.3): the filter drives an environment."""
+"""The closed loop (§ 2.3): the filter, or another controller, drives an environment."""
 
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
 
 import gymnasium
@@ -10,26 +9,23 @@ import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv
 
 from jaxreplay.filter.belief import DEFAULT_JUMP, Jump
-from jaxreplay.loop.tracker import LANES, Tracker
-from jaxreplay.machine import cores
+from jaxreplay.loop.controller import Controller, FilterController, MakeController
 from jaxreplay.params import Params
 from jaxreplay.records import Records
 
 COMPLETED = 0.9  # § 2.2.5
-
-MakeTracker = Callable[[Records, Params, Jump], Any]
 
 
 class Replays(NamedTuple):
     """Results of n replays.
 
     Attributes:
-        ending: `[n]` how each ended: "terminated" (by the environment), else "completed" (the
-            belief reached the records' end), else "truncated" (by the environment); empty while
-            it runs.
+        ending: `[n]` how each ended: "terminated" (by the environment), else "completed" (by the
+            controller: the belief reached the records' end), else "truncated" (by the
+            environment); empty while it runs.
         steps: `[n]` control steps taken.
         reward: `[n]` sum of the environment's rewards.
-        log_evidence: `[n]` log p(Z_1:t) of the replay.
+        log_evidence: `[n]` log p(Z_1:t) of the replay; NaN if the controller has none.
         info: the environment's info of each replay's last step, `[n, …]` by name; where it gave
             none: NaN for floats, else 0, False or an empty string.
         widened: `[n]` times that a step was computed again in a wider window.
@@ -58,7 +54,7 @@ def replay(
     options: Mapping[str, np.ndarray] | None = None,
     keep: Sequence[int] = (),
     progress: Callable[[Replays], None] = lambda so_far: None,
-    tracker: MakeTracker = Tracker,
+    controller: MakeController = FilterController,
 ) -> Replays:
     """Replay the records n times in the B slots of an environment.
 
@@ -80,22 +76,21 @@ def replay(
             SyncVectorEnv passes the whole `[B, …]` arrays to each sub-environment.)
         keep: replays whose observations are returned.
         progress: called with the results so far after every control step.
-        tracker: constructor of the filter of `LANES` slots, called as `tracker(records, params,
-            jump)`; its result needs `begin`, `observe`, `command`, `widened` and `dropped` as in
-            :class:`Tracker`. Another than the default serves to compare filters.
+        controller: constructor of what turns observations into commands, called as
+            `controller(records, params, jump)` (see :mod:`jaxreplay.loop.controller`).
 
     Raises:
         ValueError: environment and records do not fit each other, or its autoreset is enabled.
     """
     _check(records, env)
-    with ThreadPoolExecutor(cores()) as threads:
-        loop = _Loop(records, params, env, seeds, jump, options or {}, keep, tracker, threads)
-        loop.start(np.ones(env.num_envs, bool))
-        while loop.going.any():
-            result = loop.step(loop.trackers.command)
-            loop.observe(result)
-            loop.start(loop.end(result))
-            progress(loop.replays)
+    slots = jax.tree.map(lambda x: x[np.zeros(env.num_envs, int)], params)
+    loop = _Loop(controller(records, slots, jump), params, env, seeds, options or {}, keep)
+    loop.start(np.ones(env.num_envs, bool))
+    while loop.going.any():
+        result = loop.step(loop.controller.command)
+        loop.observe(result)
+        loop.start(loop.end(result))
+        progress(loop.replays)
     return loop.replays
 
 
@@ -109,73 +104,17 @@ class _StepResult(NamedTuple):
     info: dict[str, Any]
 
 
-class _Trackers:
-    """Trackers for B slots, `LANES` slots each, stepped in threads.
-
-    All have `LANES` lanes, so that the same compiled programs serve. The last may have lanes
-    without a slot; these never observe.
-    """
-
-    def __init__(self, records, params, slots: int, jump: Jump, make: MakeTracker, threads):
-        self._parts = [slice(i, i + LANES) for i in range(0, slots, LANES)]
-        self._slots, self._lanes, self._threads = slots, self._parts[-1].stop, threads
-        first = np.zeros(LANES, int)
-        self._each = [make(records, _of(params, first), jump) for _ in self._parts]
-
-    def begin(self, which: np.ndarray, params: Params, replay_in_slot: np.ndarray) -> None:
-        """Begin the replays `replay_in_slot` in the slots `which` (`[B]` ints, `[B]` bool)."""
-        which, replays = self._padded(which), self._padded(replay_in_slot)
-        for tracker, part in zip(self._each, self._parts, strict=True):
-            if which[part].any():
-                tracker.begin(which[part], _of(params, replays[part]))
-
-    def observe(self, z: np.ndarray, which: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Update the slots `which`, `[B]` bool, with z `[B, n_s]`; return as :class:`Tracker`."""
-        z, which = self._padded(z), self._padded(which)
-        results = np.zeros((2, self._lanes))
-
-        def one(tracker: Tracker, part: slice) -> None:
-            if which[part].any():
-                results[:, part] = tracker.observe(z[part], which[part])
-
-        list(self._threads.map(one, self._each, self._parts))
-        log_evidence, end_probability = results[:, : self._slots]
-        return log_evidence, end_probability
-
-    @property
-    def command(self) -> np.ndarray:
-        """`[B, n_u]` the commands to send next."""
-        return self._joined([tracker.command for tracker in self._each])
-
-    @property
-    def widened(self) -> np.ndarray:
-        """`[B]`, as in :class:`Tracker`."""
-        return self._joined([tracker.widened for tracker in self._each])
-
-    @property
-    def dropped(self) -> np.ndarray:
-        """`[B]`, as in :class:`Tracker`."""
-        return self._joined([tracker.dropped for tracker in self._each])
-
-    def _joined(self, values: list[np.ndarray]) -> np.ndarray:
-        return np.concatenate(values)[: self._slots]
-
-    def _padded(self, values: np.ndarray) -> np.ndarray:
-        more = [(0, self._lanes - self._slots)] + [(0, 0)] * (values.ndim - 1)
-        return np.pad(values, more)
-
-
 class _Loop:
     """The state of :func:`replay`: which replay each slot has, and the results so far."""
 
-    def __init__(self, records, params, env, seeds, jump, options, keep, tracker, threads):
+    def __init__(self, controller: Controller, params, env, seeds, options, keep):
         n, slots = len(seeds), env.num_envs
-        self.env, self.params, self.seeds, self.options = env, params, seeds, options
+        self.controller, self.env, self.params = controller, env, params
+        self.seeds, self.options = seeds, options
         self.replay_in_slot = np.zeros(slots, int)  # indices of replays
         self.going = np.zeros(slots, bool)  # slots whose replay has not ended
         self.started = 0  # replays given to a slot so far
         self.over = np.zeros(slots, bool)  # slots to be reset before they can be stepped again
-        self.trackers = _Trackers(records, params, slots, jump, tracker, threads)
         self.replays = Replays(
             ending=np.full(n, "", dtype="<U10"),
             steps=np.zeros(n, int),
@@ -208,7 +147,8 @@ class _Loop:
             self.seeds[self.replay_in_slot[b]] if self.going[b] else None for b in range(slots)
         ]
         self.env.reset(seed=seeds, options=options | {"reset_mask": fresh.copy()})
-        self.trackers.begin(taken, self.params, self.replay_in_slot)
+        params = jax.tree.map(lambda x: x[self.replay_in_slot], self.params)
+        self.controller.begin(taken, params)
 
     def step(self, command: np.ndarray) -> _StepResult:
         """Send commands `[B, n_u]`; return what the environment gives back."""
@@ -218,13 +158,15 @@ class _Loop:
         """Update beliefs with the observations, and the results with what is known now."""
         going, now, replays = self.going, self.replay_in_slot[self.going], self.replays
         z = np.asarray(result.observation, float)
-        log_evidence, self.end_probability = self.trackers.observe(z, going)
+        observed = self.controller.observe(z, going)
+        self.end_probability, log_evidence, widened, dropped = (
+            np.broadcast_to(value, going.shape) for value in observed
+        )
         for b in np.flatnonzero(going):
             if self.replay_in_slot[b] in replays.observations:
                 replays.observations[self.replay_in_slot[b]].append(z[b].copy())
         replays.steps[now] += 1
-        replays.widened[now] = self.trackers.widened[going]
-        replays.dropped[now] = self.trackers.dropped[going]
+        replays.widened[now], replays.dropped[now] = widened[going], dropped[going]
         replays.reward[now] += result.reward[going]
         replays.log_evidence[now] += log_evidence[going]
 
@@ -247,10 +189,6 @@ class _Loop:
         else:
             self.over = result.terminated | result.truncated
         return ended
-
-
-def _of(params: Params, replays: np.ndarray) -> Params:
-    return jax.tree.map(lambda x: x[replays], params)
 
 
 def _keep_info(

@@ -16,24 +16,33 @@ class Settings(NamedTuple):
         dithering: `[B]` 1 where the tracks dither, 0 where they round.
         battery: `[B]` voltage, as a share of a full battery's.
         sensor_noise: `[B]` factor on the noise of all sensors.
+        track_bias: `[B]` largest difference of a track's gain from 1 (see :mod:`jaxreplay.plane.start`).
+        placing: `[B]` largest error in x and in y of where the robot is put down, m.
+        heading: `[B]` largest error of its heading, rad.
+        cube_turn: `[B]` largest angle by which the cube is turned, rad.
     """
 
     motor_unit: np.ndarray
     dithering: np.ndarray
     battery: np.ndarray
     sensor_noise: np.ndarray
+    track_bias: np.ndarray
+    placing: np.ndarray
+    heading: np.ndarray
+    cube_turn: np.ndarray
 
 
 def track_speeds(
     params: PlaneParams,
     settings: Settings,
+    gain: np.ndarray,
     command: np.ndarray,
     chance: np.ndarray,
     noise: np.ndarray,
 ) -> np.ndarray:
     """Compute the speeds at which the tracks run, `[B, 2]` in m/s.
 
-        speed = units · motor_unit · (1 + wheel_noise · noise)
+        speed = units · motor_unit · gain · (1 + wheel_noise · noise)
 
     `units` is a whole number: the one nearest to the commanded number of motor units w or, with
     dithering (§ 3), the one below or above it,
@@ -45,6 +54,7 @@ def track_speeds(
     Args:
         params: the constants.
         settings: the settings of the worlds.
+        gain: `[B, 2]` of each track in this run.
         command: `[B, 2]` commanded speeds of the left and right track, m/s.
         chance: `[B, 2]` random numbers that decide the rounding of dithering, uniform in [0, 1).
         noise: `[B, 2]` relative errors of the speeds, as a share of the largest, `wheel_noise`;
@@ -56,7 +66,7 @@ def track_speeds(
     wanted = np.clip(command / unit, -limit, limit)
     dithered = np.clip(np.floor(wanted + chance), -limit, limit)
     whole = np.where(settings.dithering[:, None], dithered, np.rint(wanted))
-    return whole * unit * (1 + params.wheel_noise * noise)
+    return whole * unit * gain * (1 + params.wheel_noise * noise)
 
 
 class Servo(NamedTuple):

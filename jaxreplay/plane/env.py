@@ -21,6 +21,7 @@ from jaxreplay.plane.options import SETTINGS, parse_options, seeds_of
 from jaxreplay.plane.params import PlaneParams
 from jaxreplay.plane.sensors import Pose, camera, proximeters
 from jaxreplay.plane.stall import STALL_SECONDS, stall
+from jaxreplay.plane.start import start_of
 from jaxreplay.plane.world import World
 
 METADATA = {"render_modes": ["rgb_array"], "render_fps": 10}
@@ -60,9 +61,9 @@ class PlaneVectorEnv(gymnasium.vector.VectorEnv):
     **Reset** restarts all worlds, or those marked in `options["reset_mask"]` (`[B]` bool). A
     restarted world behaves as if it were new and the only one: all randomness in it comes from
     its own seed. Other options, each with one value per slot: `cube` `[B, 3]`, x, y (m) and angle
-    (rad); `motor_unit` (m/s), `dithering`, `battery` (share of the full voltage), `sensor_noise`
-    (factor). Without `cube`, a cube is placed at random 25–40 cm ahead and up to 10 cm to either
-    side, with a face turned to the robot.
+    (rad), and the settings, see :class:`jaxreplay.plane.actuators.Settings`. Without `cube`, a
+    cube is placed at random 25–40 cm ahead and up to 10 cm to either side, with a face turned to
+    the robot.
 
     Attributes:
         params: the constants.
@@ -100,6 +101,7 @@ class PlaneVectorEnv(gymnasium.vector.VectorEnv):
         self._worlds: dict[int, World] = {}  # by slot; empty slots rest
         self.pose = Pose(np.zeros((n, 3)), np.zeros((n, 3)), np.full(n, p.high), np.zeros(n))
         self._set_points = np.zeros((n, 2))
+        self._gain = np.ones((n, 2))
         self.held = np.zeros(n, bool)
         self._grasped_at = np.zeros((n, 2))  # lateral distance and elevation, m
         self.alignment_error = np.full(n, np.nan)
@@ -158,8 +160,9 @@ class PlaneVectorEnv(gymnasium.vector.VectorEnv):
         self._noise[b, :, 4] = noisy.standard_normal(len(self._noise[b]))
         for current, new in zip(self._settings, settings, strict=True):
             current[b] = new[b]
-        self._worlds[b] = World(p, cube)
-        self.pose.robot[b], self.pose.cube[b] = 0.0, cube
+        start = start_of(self._settings, b, seed, cube)
+        self._worlds[b] = World(p, start.cube, start.robot)
+        self._gain[b], self.pose.robot[b], self.pose.cube[b] = start
         self.pose.elevation[b], self.pose.tilt[b] = p.high, 0.0
         self._set_points[b] = p.high, 0.0
         self.held[b] = self._gripper_above[b] = self._off_floor[b] = self.resting[b] = False
@@ -186,7 +189,9 @@ class PlaneVectorEnv(gymnasium.vector.VectorEnv):
         p, going = self.params, ~self.resting
         noise = self._noise[np.arange(self.num_envs), self._step]
         self._move_gripper(actions, going)
-        speeds = track_speeds(p, self._settings, actions[:, :2], noise[:, 2:4], noise[:, :2])
+        speeds = track_speeds(
+            p, self._settings, self._gain, actions[:, :2], noise[:, 2:4], noise[:, :2]
+        )
         forward = speeds.mean(axis=1)
         turn = (speeds[:, 1] - speeds[:, 0]) / p.track_separation
         for b, world in self._worlds_in(going):

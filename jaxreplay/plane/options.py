@@ -14,6 +14,10 @@ SETTINGS: dict[str, tuple[float, float]] = {  # lowest and highest value, see `S
     "dithering": (0, 1),
     "battery": (0.05, 1.5),
     "sensor_noise": (0.0, 100.0),
+    "track_bias": (0.0, 0.9),
+    "placing": (0.0, 0.05),
+    "heading": (0.0, 1.0),
+    "cube_turn": (0.0, 0.8),
 }
 
 

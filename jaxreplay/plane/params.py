@@ -20,7 +20,7 @@ _WHOLE = {"substeps", "image_width", "beam_rays"}
 _MAY_BE_ZERO = {
     "wheel_noise", "sensor_noise", "camera_noise", "proximeter_noise", "servo_restart",
     "elevation_dead_band", "tilt_dead_band", "floor_friction", "contact_friction", "low",
-    "beam_half_angle", "lift",
+    "beam_half_angle", "lift", "track_bias", "placing", "heading", "cube_turn",
 }  # fmt: skip
 
 GRAVITY = 9.81  # m/s²
@@ -55,6 +55,8 @@ class PlaneParams:
     wheel_noise: float = 0.02  # of each track's speed, ± this share, uniform; Enki
     motor_unit: float = 0.005  # m/s; paper: "relatively low resolution"; assumption
     dithering: bool = False  # round by chance, with the mean unchanged; proposed in § 3
+    # Each run, each track's speed is multiplied by 1 + track_bias · u, u uniform in [−1, 1].
+    track_bias: float = 0.0
     traction: float = 0.6  # friction coefficient of tracks on floor; assumption
 
     # Gripper, in front of the hull, with the magnet's face at its end; all assumptions
@@ -110,6 +112,11 @@ class PlaneParams:
     beam_rays: int = 5  # in each beam
     beam_steepest: float = pi / 4  # rad; light that points up by more glances off; assumption
     proximeter_noise: float = 0.03  # of the response, ± this share, uniform; Enki
+
+    # Where robot and cube are put down in a run: off by up to these, uniformly
+    placing: float = 0.0  # m, of the robot, in x and in y
+    heading: float = 0.0  # rad, of the robot
+    cube_turn: float = 0.0  # rad, of the cube, from facing the robot's start
 
     # Experimental area: a run ends when the robot's hull crosses its border; assumption
     area: tuple[float, float, float, float] = (-0.25, 0.75, -0.35, 0.35)  # m: x, x, y, y

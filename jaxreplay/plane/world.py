@@ -26,8 +26,13 @@ class World:
         cube: the cube's body, likewise.
     """
 
-    def __init__(self, params: PlaneParams, cube: np.ndarray | tuple[float, float, float]):
-        """Put the robot at the origin and the cube at `[3]` x, y (m) and angle (rad)."""
+    def __init__(
+        self,
+        params: PlaneParams,
+        cube: np.ndarray | tuple[float, float, float],
+        robot: np.ndarray | tuple[float, float, float] = (0.0, 0.0, 0.0),
+    ):
+        """Put cube and robot at x, y (m) and angle (rad), `[3]` each."""
         self._reach, self._side = params.reach, params.side
         self._period = params.control_period
         self._substeps = params.substeps
@@ -37,6 +42,7 @@ class World:
         space.collision_slop = 0.0002
 
         self.robot = pymunk.Body(params.mass, params.mass * params.hull_radius**2 / 2)
+        self.robot.position, self.robot.angle = (float(robot[0]), float(robot[1])), float(robot[2])
         hull = pymunk.Circle(self.robot, params.hull_radius)
         half = params.gripper_width / 2
         corners = [(x, y) for x in (0.0, params.reach) for y in (-half, half)]
@@ -53,6 +59,7 @@ class World:
         # `_tracks` moves as the tracks run. The robot matches its velocity, as far as traction
         # allows.
         self._tracks = pymunk.Body(body_type=pymunk.Body.KINEMATIC)
+        self._tracks.position, self._tracks.angle = self.robot.position, self.robot.angle
         grip = params.traction * params.mass * GRAVITY
         drive = (
             _resist(PivotJoint(self._tracks, self.robot, (0, 0), (0, 0)), grip),
