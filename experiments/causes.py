@@ -39,7 +39,7 @@ from jaxreplay.loop.tracker import Tracker
 from jaxreplay.machine import keep_compiled, write_whole
 from jaxreplay.plane.env import PlaneVectorEnv
 from jaxreplay.plane.options import seed_of
-from jaxreplay.plane.params import SENSOR_RANGES, PlaneParams
+from jaxreplay.plane.params import NOMINAL, SENSOR_RANGES, PlaneParams
 from jaxreplay.plane.positions import DEMONSTRATED, facing
 from jaxreplay.study.demonstrations import record
 from jaxreplay.study.shard import outcomes
@@ -47,6 +47,7 @@ from jaxreplay.study.shard import outcomes
 SEED = 2012
 SLOTS = 56
 THETA_I = (10**-0.5, 10**-2, 1e-25)
+OLD = PlaneParams(**NOMINAL)  # the world in which every run is alike
 MARKERS = "os^vD*"
 JUMPS = ("same_tau", "own_tau")
 
@@ -54,8 +55,8 @@ JUMPS = ("same_tau", "own_tau")
 class Variant(NamedTuple):
     """A change: of the replay's plane, of the demonstrations', of the records, or of the filter."""
 
-    plane: PlaneParams = PlaneParams()
-    demonstrated: PlaneParams = PlaneParams()
+    plane: PlaneParams = OLD
+    demonstrated: PlaneParams = OLD
     warp: Callable[[Records], Records] = lambda records: records
     tracker: Callable[[Records, Params, str], Any] = Tracker
 
@@ -185,7 +186,7 @@ def _warped(path: np.ndarray, sensors: np.ndarray, commands: np.ndarray):
 
 
 def _at(period: float, substeps: int) -> Variant:
-    plane = PlaneParams(control_period=period, substeps=substeps)
+    plane = replace(OLD, control_period=period, substeps=substeps)
     return Variant(plane, plane)
 
 
@@ -193,10 +194,10 @@ VARIANTS = {
     "as it is": Variant(),
     "demonstrations in step": Variant(warp=in_step),
     "plain float32 filter": Variant(tracker=PlainTracker),
-    "no sensor noise": Variant(replace(PlaneParams(), sensor_noise=0.0)),
-    "4 times the sensor noise": Variant(replace(PlaneParams(), sensor_noise=4.0)),
-    "motor unit 0.25 cm/s": Variant(replace(PlaneParams(), motor_unit=0.0025)),
-    "motor unit 1 cm/s": Variant(replace(PlaneParams(), motor_unit=0.01)),
+    "no sensor noise": Variant(replace(OLD, sensor_noise=0.0)),
+    "4 times the sensor noise": Variant(replace(OLD, sensor_noise=4.0)),
+    "motor unit 0.25 cm/s": Variant(replace(OLD, motor_unit=0.0025)),
+    "motor unit 1 cm/s": Variant(replace(OLD, motor_unit=0.01)),
     "5 steps a second": _at(0.2, 10),
     "20 steps a second": _at(0.05, 3),
 }

@@ -49,13 +49,13 @@ def main():
     keep_compiled()
     options.out.mkdir(parents=True, exist_ok=True)
     config = load_config(STUDY, ["jump=own_tau", *options.set])
-    records, runs = demonstrations(config, options.out), runs_of(config)
+    robots, runs = demonstrations(config, options.out), runs_of(config)
     won, pieces = np.zeros(len(runs), bool), [np.zeros((0, 3))] * len(runs)
-    for which in shards_of(runs, 56):
+    for which in shards_of(config, runs, 56):
         ours = runs.of(which)
-        replays = replays_of(config, records, ours, range(len(ours)))
+        replays = replays_of(config, robots, ours, range(len(ours)))
         params, *_ = settings_of(config, ours)
-        theirs = records_of(config, records, ours)
+        theirs = records_of(config, robots, ours)
         won[which] = outcomes(replays) == "S"
         for k, run in enumerate(which):
             its = jax.tree.map(lambda x, k=k: x[k], params)
@@ -65,7 +65,7 @@ def main():
     theta_i = runs.values["theta_i"]
     print(table(theta_i, won, pieces))
     for suffix in ("png", "pdf"):
-        figure(theta_i, won, pieces, records, options.out / f"pieces.{suffix}")
+        figure(theta_i, won, pieces, theirs, options.out / f"pieces.{suffix}")
     print(f"{options.out}: pieces.png and pieces.pdf")
 
 

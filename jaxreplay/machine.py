@@ -1,7 +1,11 @@
 """The machine this runs on: its cores, its disk, and JAX's cache of compiled programs."""
 
 import os
+import tomllib
 from pathlib import Path
+from typing import Any
+
+from jaxreplay.errors import ConfigError
 
 
 def keep_compiled() -> None:
@@ -29,6 +33,20 @@ def cores() -> int:
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """Return the contents of a TOML file.
+
+    Raises:
+        ConfigError: the file cannot be read, or is not TOML.
+    """
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read: {error.strerror}") from None
+    except ValueError as error:  # not TOML, or not UTF-8
+        raise ConfigError(f"{path}: is not TOML: {error}") from None
 
 
 def write_whole(path: str | Path, content: bytes) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations  # help() then shows ArrayLike, not its ten m
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -11,6 +12,9 @@ import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 from numpy.typing import ArrayLike
+
+from jaxreplay.errors import ConfigError, suggest
+from jaxreplay.machine import read_toml
 
 _NAMES = ("theta_i", "theta_tau", "sigma")
 
@@ -61,6 +65,40 @@ class Params:
                 raise ValueError(f"{name} ({symbol}) must be {allowed}; got {bad:.6g}")
         if self.sigma.ndim == 0:
             raise ValueError("sigma (σ) needs one value per sensor, e.g. [0.1] for one sensor")
+
+    @classmethod
+    def load(cls, path: str | Path) -> Params:
+        """Read the parameters in a TOML file that `jaxreplay tune` wrote.
+
+        The file contains `theta_i`, `theta_tau` and a table `[sigma]` of one σ per sensor, by the
+        sensors' names and in the order of the records. The names are not compared with those of
+        any records.
+
+        Args:
+            path: the TOML file.
+
+        Raises:
+            ConfigError: the file is missing or not TOML, a key is missing or unknown, or a value
+                is not a number or out of its range.
+        """
+        given = read_toml(Path(path))
+        for name in given:
+            if name not in _NAMES:
+                raise ConfigError(f"{path}: unknown key {suggest(name, _NAMES)}")
+        for name in _NAMES:
+            if name not in given:
+                raise ConfigError(f"{path}: {name} is missing; jaxreplay tune writes such a file")
+        sigma = given["sigma"]
+        if not isinstance(sigma, dict) or not sigma:
+            raise ConfigError(f"{path}: sigma must be a table, [sigma], of one number per sensor")
+        thetas = {name: given[name] for name in ("theta_i", "theta_tau")}
+        for name, value in (thetas | {f"sigma.{name}": s for name, s in sigma.items()}).items():
+            if isinstance(value, bool) or not isinstance(value, int | float):
+                raise ConfigError(f"{path}: {name} must be a number; got {value!r}")
+        try:
+            return cls(**thetas, sigma=[float(value) for value in sigma.values()])
+        except (ValueError, OverflowError) as error:
+            raise ConfigError(f"{path}: {error}") from None
 
     def tree_flatten_with_keys(self) -> tuple[Iterable[tuple[Any, Any]], None]:
         """Return the three values as leaves with their names, for JAX."""

@@ -1,10 +1,13 @@
+from dataclasses import replace
+
 import numpy as np
 
 from jaxreplay.plane.env import PlaneVectorEnv
-from jaxreplay.plane.params import PlaneParams
+from jaxreplay.plane.params import NOMINAL, PlaneParams
 from jaxreplay.plane.sensors import Pose
 
-EXACT = PlaneParams(wheel_noise=0.0, sensor_noise=0.0)
+OLD = PlaneParams(**NOMINAL)  # a world in which every run is alike
+EXACT = replace(OLD, wheel_noise=0.0, sensor_noise=0.0)
 SUBSTEP = EXACT.control_period / EXACT.substeps  # a new velocity acts one substep late
 UNIT, PERIOD = EXACT.motor_unit, EXACT.control_period
 HIGH, LOW, SCAN = EXACT.high, EXACT.low, EXACT.scanning_tilt

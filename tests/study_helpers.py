@@ -13,7 +13,7 @@ from jaxreplay.study import store
 from jaxreplay.study.config import load_config
 from jaxreplay.study.dataset import OUTCOMES, STALLS, VARIABLES
 from jaxreplay.study.demonstrations import record
-from jaxreplay.study.runs import runs_of, shard_size, shards_of
+from jaxreplay.study.runs import runs_of, shard_size, shards_of, taught_by
 
 SMALL = """
 seed = 4
@@ -68,6 +68,12 @@ def of_beginnings(folder, text):
     return write(folder, f'demonstrations = "{folder / "beginnings.npz"}"\n{text}')
 
 
+def by_robot(config, records):
+    """The same demonstrations for each robot of a study."""
+    runs = runs_of(config)
+    return {taught_by(config, runs, k): records for k in range(len(runs))}
+
+
 def made_up_study(config, folder, seed=0, **manifest):
     """Fill a folder with a finished study of random results; return its manifest.
 
@@ -75,17 +81,18 @@ def made_up_study(config, folder, seed=0, **manifest):
     """
     config = load_config(config)
     runs, size = runs_of(config), shard_size(config)
-    made = store.manifest_of(config, some_records(), size) | manifest
+    made = store.manifest_of(config, by_robot(config, some_records()), size) | manifest
     made = {name: entry for name, entry in made.items() if entry is not None}
     (folder / store.SHARDS).mkdir(parents=True, exist_ok=True)
     (folder / store.MANIFEST).write_text(json.dumps(made))
     rng = np.random.default_rng(seed)
-    for k, which in enumerate(shards_of(runs, size)):
+    for k, which in enumerate(shards_of(config, runs, size)):
         n = len(which)
         outcome = rng.choice(OUTCOMES, n)
         results = {name: rng.uniform(1, 100, n) for name in VARIABLES} | {
             "outcome": outcome,
             "stall": np.where(outcome == "Fs", rng.choice(STALLS, n), ""),
+            "lifted": np.where(outcome == "S", 1.0, rng.integers(0, 2, n)),
             "command_error": np.where(which % 5 == 0, rng.uniform(0, 0.01, n), np.nan),
         }
         shard = xr.Dataset({name: ("run", values) for name, values in results.items()})

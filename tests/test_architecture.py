@@ -26,8 +26,8 @@ SOURCES = {
 GROUND = {"errors", "machine"}
 MAY_IMPORT = {
     "errors": set(),
-    "machine": set(),
-    "params": set(),
+    "machine": {"errors"},
+    "params": GROUND,
     "reference": set(),
     "records": {"machine"},
     "filter": {"records", "params"},

@@ -6,6 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from jaxreplay import Params
+from jaxreplay.errors import ConfigError
 
 
 @given(
@@ -97,3 +98,53 @@ def test_leaves_are_named_after_the_parameters():
     paths = jax.tree_util.tree_leaves_with_path(Params(0.1, 0.05, [1.0]))
     named = {jax.tree_util.keystr(path): leaf.shape for path, leaf in paths}
     assert named == {".theta_i": (), ".theta_tau": (), ".sigma": (1,)}
+
+
+TUNED = """
+# Parameters tuned on "demos.npz"
+theta_i = 0.01  # a comment
+theta_tau = 0.05
+
+[sigma]  # in the sensors' units
+"north" = 2
+"a b.c" = 0.125
+"""
+
+
+def test_a_tuned_file_is_read_in_the_order_of_its_sensors(tmp_path):
+    path = tmp_path / "tuned.toml"
+    path.write_text(TUNED)
+    for each in (path, str(path)):
+        params = Params.load(each)
+        assert params.theta_i == np.float32(0.01)
+        assert params.theta_tau == np.float32(0.05)
+        assert params.sigma.tolist() == [2, 0.125]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        (TUNED, None, "cannot be read: No such file or directory"),
+        ("theta_tau =", "theta_tau", "is not TOML: "),
+        ("# a comment", "\xff", "is not TOML: "),
+        ("theta_tau = 0.05", "", "theta_tau is missing; jaxreplay tune writes"),
+        (TUNED, "theta_i = 0.1\ntheta_tau = 0.1", "sigma is missing"),
+        (TUNED, "theta_j = 0.1", "unknown key theta_j; did you mean theta_i?"),
+        ("0.01", '"0.01"', "theta_i must be a number; got '0.01'"),
+        ("0.01", "true", "theta_i must be a number; got True"),
+        ("0.125", "[1, 2]", r"sigma\.a b\.c must be a number; got \[1, 2\]"),
+        ("0.125", "-1", r"sigma \(σ\) must be > 0 and finite; got -1"),
+        ("0.01", "1.5", r"theta_i \(θ_I\) must be in \[0, 1\]; got 1.5"),
+        ("0.01", f"1{400 * '0'}", "tuned.toml: "),
+        (TUNED, "theta_i = 0\ntheta_tau = 0\nsigma = 0.1", r"sigma must be a table, \[sigma\]"),
+        (TUNED, "theta_i = 0\ntheta_tau = 0\n[sigma]", r"sigma must be a table, \[sigma\]"),
+    ],
+)
+def test_a_mistake_in_a_tuned_file_is_one_line(tmp_path, old, new, message):
+    path = tmp_path / "tuned.toml"
+    if new is not None:
+        path.write_text(TUNED.replace(old, new), encoding="latin-1")
+    with pytest.raises(ConfigError, match=message) as raised:
+        Params.load(path)
+    assert str(raised.value).startswith(f"{path}: ")
+    assert "\n" not in str(raised.value)

@@ -22,12 +22,12 @@ import numpy as np
 import pymunk
 
 from jaxreplay.plane.env import PlaneVectorEnv
-from jaxreplay.plane.params import PlaneParams
+from jaxreplay.plane.params import NOMINAL, PlaneParams
 from jaxreplay.plane.sensors import Pose, camera, proximeters
 from jaxreplay.plane.world import World
 
 STEPS, ROUNDS, WIDTHS = 120, 7, (1, 16, 128)
-P = PlaneParams(wheel_noise=0.0, sensor_noise=0.0)
+P = PlaneParams(**NOMINAL | {"wheel_noise": 0.0, "sensor_noise": 0.0})
 CUBE_ONLY = pymunk.ShapeFilter(mask=1)
 COMMAND = (0.015, 0.015, P.low, P.scanning_tilt, 0.0)  # advances, scanning
 

@@ -56,14 +56,14 @@ def main():
     with tempfile.TemporaryDirectory() as folder:
         folder = Path(folder)
         config = load_config(THETA_I, [f"jump={options.jump}", PAPER])
-        records = demonstrations(config, folder)
+        robots = demonstrations(config, folder)
         (file,) = folder.glob("*.npz")
         given = ["--set", f"jump={options.jump}", "--set", f"demonstrations={file}"]
         found = {"figure 3": figure_3([*given, "--set", PAPER], folder, options.rounds)}
         with on_one_core():
-            found["parts"] = parts(config, records)
+            found["parts"] = parts(config, robots)
         if options.large:
-            found["large"] = large(records, folder)
+            found["large"] = large(next(iter(robots.values())), folder)
     if options.json:
         options.json.write_text(json.dumps(found, indent=1))
 
@@ -121,12 +121,12 @@ def _watch(process: psutil.Process, peak: list[int]):
         time.sleep(0.2)
 
 
-def parts(config, records) -> dict[str, float]:
+def parts(config, robots) -> dict[str, float]:
     """Print and return where one core's time goes, for 56 runs: µs a control step of one run."""
     keep_compiled()
     runs = runs_of(config)
     sample = runs.of(np.unique(np.linspace(0, len(runs) - 1, 56).astype(int)))
-    replays_of(config, records, sample)  # compiles
+    replays_of(config, robots, sample)  # compiles
     spent = defaultdict(float)
     with (
         timed(spent, "filter", Tracker, "observe"),
@@ -135,7 +135,7 @@ def parts(config, records) -> dict[str, float]:
         timed(spent, "physics", World, "advance"),
     ):
         began = time.perf_counter()
-        steps = int(replays_of(config, records, sample).steps.sum())
+        steps = int(replays_of(config, robots, sample).steps.sum())
         whole = time.perf_counter() - began
     each = {
         "filter": spent["filter"],

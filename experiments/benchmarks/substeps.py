@@ -21,11 +21,11 @@ from pathlib import Path
 import numpy as np
 
 from jaxreplay.plane.env import PlaneVectorEnv
-from jaxreplay.plane.params import PlaneParams
+from jaxreplay.plane.params import NOMINAL, PlaneParams
 
 COUNTS = (1, 2, 3, 5, 10, 20, 40)
 REFERENCE = 160
-P = PlaneParams()
+P = PlaneParams(**NOMINAL)
 LOW, SCANNING, LIFTING = P.low, (P.low, P.scanning_tilt, 0), (P.high, 0, 1)
 LOWER = (3.5, 0, 0, *SCANNING)  # s, motor units left and right, set points and magnet
 STAND = (1, 0, 0, *SCANNING)

@@ -81,7 +81,7 @@ def _run(options: argparse.Namespace) -> None:
         raise ConfigError(f"--out {folder} is a file; give a folder")
     check_format(folder)
     runs = runs_of(config)
-    shards = len(shards_of(runs, shard_size(config)))
+    shards = len(shards_of(config, runs, shard_size(config)))
     print(f"{folder}: {_count(len(runs), 'run')} in {_count(shards, 'shard')}", file=sys.stderr)
     if options.dry_run:
         print(_cost(config, folder, len(runs), options), file=sys.stderr)

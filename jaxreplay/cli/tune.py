@@ -1,6 +1,7 @@
 """`jaxreplay tune RECORDS`: choose parameters from records alone."""
 
 import argparse
+import json
 import os
 from pathlib import Path
 
@@ -15,7 +16,8 @@ def add_to(commands: Commands) -> None:
         help="choose parameters from records alone",
         description="Leave each record out in turn, filter it with the others, and follow the "
         "gradient of the score. Prints and saves the parameters, and draws a figure of the "
-        "parameters after each step, with the scores after some.",
+        "parameters after each step, with the scores after some. The file that it saves is read by "
+        "jaxreplay.Params.load.",
     )
     parser.add_argument("records", type=Path, metavar="RECORDS", help="an .npz file of records")
     parser.add_argument(
@@ -78,7 +80,17 @@ def _tune(options: argparse.Namespace) -> None:
             )
         except ValueError as error:
             raise ConfigError(f"{options.records}: {error}") from None
-    print(summary(records, tuned))
+    print(_marked(summary(records, tuned), options.score))
     save(records, tuned, options.records, path)
     tuning_figure(records, tuned).savefig(path.with_suffix(".png"))
     print(f"{path}: the parameters; {path.with_suffix('.png')}: the figure")
+    name = json.dumps(str(path), ensure_ascii=False)
+    print(f"In Python, with `import jaxreplay as jr`: jr.Params.load({name})")
+
+
+def _marked(table: str, score: str) -> str:
+    """Return a table of scores whose row of the optimised score says so at its end."""
+    row = {"commands": "command error", "evidence": "log evidence"}[score]
+    return "\n".join(
+        f"{line} (optimised)" if line.startswith(row) else line for line in table.splitlines()
+    )

@@ -25,10 +25,11 @@ def add_to(commands: Commands) -> None:
         "--run",
         default="0",
         metavar="RUN",
-        help="the run's factors, position and repeat, such as "
-        "jump=own_tau,theta_i=0.01,position=0,repeat=2; or its index from 0, in the order of the "
-        "file's axes, then positions, then repeats; or, of a folder, the first with an outcome (S, "
-        "Fs, Fg, Fb) or a stall (fixed, cyclic, slow)",
+        help="values of factors, position and repeat, separated by commas, such as "
+        "jump=own_tau,theta_i=0.01,position=0,repeat=2: those not given are free, and the first "
+        "run that fits is taken; or the run's index from 0, in the order of the file's axes, then "
+        "positions, then repeats; or, of a folder, the first run with an outcome (S, Fs, Fg, Fb) "
+        "or a stall (fixed, cyclic, slow)",
     )
     parser.add_argument("--speed", type=speed, default=4.0, help="times real time (default: 4)")
     parser.add_argument(
@@ -80,6 +81,9 @@ def parse_run(text: str) -> int | str | dict[str, Any]:
 
     The values of `"jump=own_tau,theta_i=0.01"` are read as in a study's file; what is not TOML
     there is a word without its quotes.
+
+    Raises:
+        ConfigError: a part is not NAME=VALUE, or parts are not separated by commas.
     """
     if text.isdecimal():
         return int(text)
@@ -93,5 +97,9 @@ def parse_run(text: str) -> int | str | dict[str, Any]:
         try:
             named[name.strip()] = tomllib.loads(f"value = {value}")["value"]
         except tomllib.TOMLDecodeError:
+            if re.search(r"\w\s*=", value):
+                raise ConfigError(
+                    f"--run {text}: separate values by commas, such as position=0,repeat=0"
+                ) from None
             named[name.strip()] = value.strip()
     return named

@@ -27,6 +27,7 @@ FRAMES = 10  # per second of the animation
 HOLD = 2  # s for which the last frame is shown
 # Moments τ (positions on a record) whose probabilities are added up in one pixel of the belief.
 _BIN = 4
+_GREYS = 64  # of the palette's 256 colours; the others are adapted to the frames
 
 
 Styles = tuple[tuple[str, dict[str, Any]], ...]  # a label and a line's style each
@@ -94,11 +95,41 @@ def animate(
 
     # All frames have the colours of a few, so that no colour changes as it plays.
     few = [np.asarray(shown(steps[k * (len(steps) - 1) // 3])) for k in range(4)]
-    palette = Image.fromarray(np.vstack(few)).quantize(256, Image.Quantize.MAXCOVERAGE)
+    palette = _palette(np.vstack(few))
     for t in steps:
-        pictures.append(shown(t).quantize(palette=palette, dither=Image.Dither.NONE))
+        pictures.append(_reduced(shown(t), palette))
         progress(len(pictures), len(steps))
     return Animation(pictures, [1000 / FRAMES] * (len(pictures) - 1) + [1000 * HOLD])
+
+
+def _palette(pixels: np.ndarray) -> Image.Image:
+    """Return a picture whose palette suits `[H, W, 3]` pixels: evenly spaced greys, then colours.
+
+    A palette made of all pixels has few pure greys, and would tint the light ones.
+    """
+    coloured = pixels[~_is_grey(pixels)][None]
+    number = 256 - _GREYS
+    colours = Image.fromarray(coloured).quantize(number, Image.Quantize.MAXCOVERAGE).getpalette()
+    greys = np.linspace(0, 255, _GREYS).round().astype(int).repeat(3)
+    picture = Image.new("P", (1, 1))
+    picture.putpalette([*greys.tolist(), *(colours or [])[: 3 * number]])
+    return picture
+
+
+def _reduced(picture: Image.Image, palette: Image.Image) -> Image.Image:
+    """Return a picture in the colours of `_palette`, in which grey pixels remain grey."""
+    reduced = picture.quantize(palette=palette, dither=Image.Dither.NONE)
+    pixels, indices = np.asarray(picture), np.array(reduced)
+    grey = _is_grey(pixels)
+    indices[grey] = np.rint(pixels[grey, 0] * ((_GREYS - 1) / 255))
+    result = Image.fromarray(indices)
+    result.putpalette(reduced.getpalette() or [])
+    return result
+
+
+def _is_grey(pixels: np.ndarray) -> np.ndarray:
+    """Return for `[H, W, 3]` pixels whether each has three equal components, `[H, W]`."""
+    return (pixels[..., 0] == pixels[..., 1]) & (pixels[..., 1] == pixels[..., 2])
 
 
 def still(run: Trace) -> Image.Image:
@@ -224,7 +255,7 @@ _SENSORS: Styles = (
 )
 _COMMANDS: Styles = (
     ("left track", {"color": "#1f4e79"}),
-    ("right track", {"color": "#6fa8dc"}),
+    ("right track", {"color": "#6fa8dc", "ls": (0, (4, 4))}),  # often equal to the left's
     ("elevation", {"color": "#b35900"}),
     ("tilt", {"color": "#7a4b94", "ls": "--"}),
     ("magnet", {"color": "black", "ls": ":"}),
@@ -233,9 +264,9 @@ _SCALES = "commands (tracks in units of 5 cm/s; gripper as a share of its travel
 
 
 def _shares(values: np.ndarray) -> np.ndarray:
-    """Return columns `[T, n]` as shares of their ranges; a constant one is 0.5."""
+    """Return columns `[T, n]` as shares of their ranges; a constant one is 0."""
     low, span = values.min(axis=0), np.ptp(values, axis=0)
-    return np.where(span > 0, (values - low) / np.where(span > 0, span, 1), 0.5)
+    return (values - low) / np.where(span > 0, span, 1)
 
 
 def _scaled(p: PlaneParams, commands: np.ndarray) -> np.ndarray:

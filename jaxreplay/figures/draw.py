@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
+from jaxreplay.figures.comparison import compares, comparison
 from jaxreplay.figures.maps import factor_map, position_map
 from jaxreplay.figures.outcomes import figure_3
 from jaxreplay.figures.picture import Picture
@@ -18,7 +19,8 @@ def figures_of(dataset: xr.Dataset) -> dict[str, Picture]:
     """Return the figures that suit a study, by name; the first is the main one.
 
     `outcomes` is the paper's figure 3. A study with two numeric axes and too many values for it is
-    drawn as a `map` of the two instead. Many positions and few values add `positions`, a map of
+    drawn as a `map` of the two instead; one with a numeric axis and three or more words, such as
+    controllers, as a `comparison`. Many positions and few values add `positions`, a map of
     the plane.
     """
     dims = axes_of(dataset)
@@ -30,7 +32,9 @@ def figures_of(dataset: xr.Dataset) -> dict[str, Picture]:
 
 
 def main_figure(dataset: xr.Dataset) -> dict[str, Picture]:
-    """Return the main figure of a study under its name, `outcomes` or `map`."""
+    """Return the main figure of a study by its name: `outcomes`, `map` or `comparison`."""
+    if compares(dataset):
+        return {"comparison": comparison(dataset)}
     dims = axes_of(dataset)
     sizes = sorted(dataset.sizes[d] for d in dims)
     if np.prod(sizes[:-1]) > MOST_ROWS and sum(is_number(dataset, d) for d in dims) > 1:

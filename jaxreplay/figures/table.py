@@ -1,5 +1,6 @@
 """A study as a table: how the runs of each cell ended, how accurate they were and how fast."""
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -25,15 +26,17 @@ def table(dataset: xr.Dataset) -> str:
     lines = [
         "".join(head.rjust(columns[name]) for name, head in heads.items())
         + "".join(f"{name:>6}" for name in OUTCOMES)
-        + f"{'S, %':>15}"
+        + f"{'lifted':>8}{'S, %':>15}{'− first, %':>17}"
         + "".join(f"{name:>8}" for name in STALLS)
         + f"{'error of S, mm':>18}{'duration of S, s':>20}"
     ]
-    for values, runs in cells(dataset, dims):
+    for (values, runs), first in zip(cells(dataset, dims), _firsts(dataset, dims), strict=True):
         outcome, stall = runs.outcome.values, runs.stall.values
         row = "".join(short(value).rjust(columns[name]) for name, value in values.items())
         row += "".join(f"{np.sum(outcome == o):6d}" for o in OUTCOMES)
+        row += _lifted(runs).rjust(8)
         row += rate(np.sum(outcome == "S"), np.sum(outcome != "")).rjust(15)
+        row += difference(outcome, first.outcome.values).rjust(17)
         row += "".join(f"{np.sum(stall == s):8d}" for s in STALLS)
         for name, width in (("alignment_error", 18), ("duration", 20)):
             row += mean_and_error(runs[name].values[outcome == "S"]).rjust(width)
@@ -42,10 +45,27 @@ def table(dataset: xr.Dataset) -> str:
         "",
         "S: success; Fs: time limit reached (fixed, cyclic or slow); Fg: no grasp; Fb: left the "
         "area.",
-        "S, %: with Wilson's 95 % interval. ±: standard error of the mean.",
+        "lifted: the cube was lifted at any time. S, %: with Wilson's 95 % interval. ±: standard "
+        "error of the mean.",
+        "− first: difference of S to the first value of the last axis, with its 95 % interval; "
+        "runs are paired by position and repeat.",
         _audited(dataset),
     ]
     return "\n".join(lines)
+
+
+def _firsts(dataset: xr.Dataset, dims: list[str]) -> Iterator[xr.Dataset]:
+    """Yield what each cell is compared to: the first cell along the last axis that varies."""
+    varying = [dim for dim in dims if dataset.sizes[dim] > 1]
+    for index in np.ndindex(*(dataset.sizes[dim] for dim in dims)):
+        at = dict(zip(dims, index, strict=True))
+        yield dataset.isel(at | dict.fromkeys(varying[-1:], 0))
+
+
+def _lifted(runs: xr.Dataset) -> str:
+    """Return in how many runs the cube was lifted; – where that is not known."""
+    lifted = runs.lifted.values[runs.outcome.values != ""] if "lifted" in runs else np.array([])
+    return f"{np.sum(lifted == 1)}" if np.isfinite(lifted).any() else "–"
 
 
 def _audited(dataset: xr.Dataset) -> str:
@@ -93,6 +113,37 @@ def rate(successes: int, n: int) -> str:
         return "–"
     low, high = wilson(successes, n)
     return f"{100 * successes / n:.0f} ({100 * low:.0f}–{100 * high:.0f})"
+
+
+def difference(outcome: np.ndarray, first: np.ndarray) -> str:
+    """Return the difference of two cells' success in percentage points, with its interval.
+
+    Runs at the same place in both arrays are pairs: they have a world and a noise in common.
+    """
+    both = (outcome != "") & (first != "")
+    if outcome is first or not both.any() or np.array_equal(outcome, first):
+        return "–"
+    one, other = (outcome[both] == "S"), (first[both] == "S")
+    low, middle, high = paired(np.sum(one & ~other), np.sum(other & ~one), np.sum(both))
+    return f"{100 * middle:+.0f} ({100 * low:+.0f}, {100 * high:+.0f})"
+
+
+def paired(only_one: int, only_other: int, n: int) -> tuple[float, float, float]:
+    """Return the difference of two paired rates, between the ends of its 95 % interval.
+
+    Agresti and Min (2005), eq. 6: Wald's interval after ½ is added to each of the four counts,
+
+        (b − c) / (n + 2) ± 1.96 √((b + c + 1) − (b − c)² / (n + 2)) / (n + 2)
+
+    Args:
+        only_one: b, pairs in which only the first succeeded.
+        only_other: c, pairs in which only the second did.
+        n: pairs.
+    """
+    apart, size = int(only_one) - int(only_other), int(n) + 2
+    error = 1.96 * (int(only_one) + int(only_other) + 1 - apart**2 / size) ** 0.5 / size
+    middle = apart / size
+    return max(middle - error, -1.0), apart / int(n), min(middle + error, 1.0)
 
 
 def wilson(successes: int, n: int) -> tuple[float, float]:

@@ -16,7 +16,7 @@ class Settings(NamedTuple):
         dithering: `[B]` 1 where the tracks dither, 0 where they round.
         battery: `[B]` voltage, as a share of a full battery's.
         sensor_noise: `[B]` factor on the noise of all sensors.
-        track_bias: `[B]` largest difference of a track's gain from 1 (see :mod:`jaxreplay.plane.start`).
+        track_bias: `[B]` largest difference of a track's gain from 1 (see `plane.start`).
         placing: `[B]` largest error in x and in y of where the robot is put down, m.
         heading: `[B]` largest error of its heading, rad.
         cube_turn: `[B]` largest angle by which the cube is turned, rad.

@@ -53,7 +53,8 @@ class PlaneVectorEnv(gymnasium.vector.VectorEnv):
     **Terminated** `[B]`: the hull crosses the border of the experimental area. **Truncated**
     `[B]`: the time limit (3 minutes) is over. A world that has ended rests until it is reset:
     it stands still and is not simulated. The caller can make worlds rest by setting `resting`.
-    **Info**, `[B]` each: `is_success`, whether the cube is held and lifted; `alignment_error`,
+    **Info**, `[B]` each: `is_success`, whether the cube is held and lifted; `was_lifted`, whether
+    it has been at any time; `alignment_error`,
     the lateral distance (m) from the magnet's centre to the centre of the face that it last
     grasped, NaN before the first grasp; `stall`, "fixed", "cyclic" or "slow" where the run is
     truncated, else empty.
@@ -106,6 +107,7 @@ class PlaneVectorEnv(gymnasium.vector.VectorEnv):
         self._grasped_at = np.zeros((n, 2))  # lateral distance and elevation, m
         self.alignment_error = np.full(n, np.nan)
         self.resting = np.ones(n, bool)
+        self._was_lifted = np.zeros(n, bool)
         self._gripper_above = np.zeros(n, bool)
         self._off_floor = np.zeros(n, bool)
         self._camera = np.zeros(n)
@@ -166,6 +168,7 @@ class PlaneVectorEnv(gymnasium.vector.VectorEnv):
         self.pose.elevation[b], self.pose.tilt[b] = p.high, 0.0
         self._set_points[b] = p.high, 0.0
         self.held[b] = self._gripper_above[b] = self._off_floor[b] = self.resting[b] = False
+        self._was_lifted[b] = False
         self.alignment_error[b] = np.nan
         self._camera[b] = self._step[b] = 0
 
@@ -202,6 +205,7 @@ class PlaneVectorEnv(gymnasium.vector.VectorEnv):
         at = self._step % self._trail.shape[1]
         gripper = np.stack([self.pose.elevation, self.pose.tilt], axis=1)
         self._trail[np.arange(self.num_envs), at] = np.hstack([self.pose.robot, gripper])
+        self._was_lifted |= going & self.lifted
         self._step[going] += 1
         self._observe(going)
         terminated = self.outside & going
@@ -318,6 +322,7 @@ class PlaneVectorEnv(gymnasium.vector.VectorEnv):
             stalls[b] = stall(trail, self.params.control_period)
         info = {
             "is_success": self.lifted,
+            "was_lifted": self._was_lifted.copy(),
             "alignment_error": self.alignment_error.copy(),
             "stall": stalls,
         }

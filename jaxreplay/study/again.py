@@ -13,8 +13,11 @@ from gymnasium.vector import VectorEnv, VectorWrapper
 from jaxreplay.errors import ConfigError
 from jaxreplay.filter import build_filter
 from jaxreplay.filter.belief import Jump
+from jaxreplay.loop.controller import FilterController, MakeController
 from jaxreplay.loop.replay import replay
+from jaxreplay.loop.rivals import controller_named
 from jaxreplay.params import Params
+from jaxreplay.plane.params import PlaneParams
 from jaxreplay.records import Records
 from jaxreplay.study.config import StudyConfig
 from jaxreplay.study.dataset import OUTCOMES, STALLS, Trace
@@ -57,12 +60,12 @@ def find_and_run_again(
     return k, run_again(config, demonstrations(config, folder), k)
 
 
-def run_again(config: StudyConfig, records: Records, k: int) -> Trace:
+def run_again(config: StudyConfig, demonstrations: Mapping[PlaneParams, Records], k: int) -> Trace:
     """Do the k-th run of a study again and record it.
 
     Args:
         config: the study.
-        records: all its demonstrations.
+        demonstrations: by the robot that made them.
         k: the run's index, counted along the dataset's dimensions.
 
     Returns:
@@ -71,8 +74,9 @@ def run_again(config: StudyConfig, records: Records, k: int) -> Trace:
     """
     one = runs_of(config).of(np.array([k]))
     params, (seed,), options = settings_of(config, one)
-    jump, chosen = one.values["jump"][0], records_of(config, records, one)
-    trace = trace_of(chosen, params, worlds_of(config, one), jump, seed, options)
+    jump, chosen = one.values["jump"][0], records_of(config, demonstrations, one)
+    controller = controller_named(one.values["controller"][0])
+    trace = trace_of(chosen, params, worlds_of(config, one), jump, seed, options, controller)
     values = {FACTORS[n].symbol: v[0] for n, v in one.values.items() if v[0] is not None}
     return trace._replace(values=values, position=int(one.position[0]), repeat=int(one.repeat[0]))
 
@@ -100,7 +104,10 @@ def find_run(
         return int(text)
     if text not in (*OUTCOMES, *STALLS):
         names = ", ".join((*OUTCOMES, *STALLS))
-        raise ConfigError(f"run {text}: give a run's number, or one of {names}")
+        raise ConfigError(
+            f"run {text}: give a run's number, or one of {names}, or values such as "
+            "theta_i=0.01,position=0"
+        )
     if dataset is None:
         raise ConfigError(f"run {text}: the study has no outcomes yet; give a study's folder")
     found = np.flatnonzero((dataset.outcome.values == text) | (dataset.stall.values == text))
@@ -154,10 +161,17 @@ def trace_of(
     jump: Jump,
     seed: int,
     options: dict[str, np.ndarray],
+    controller: MakeController = FilterController,
 ) -> Trace:
-    """Run one replay in the plane and record it; arguments as of :func:`jaxreplay.replay`."""
+    """Run one replay in the plane and record it; arguments as of :func:`jaxreplay.replay`.
+
+    The beliefs are those that the filter has of the observations, also where another controller
+    made them.
+    """
     env = _Recorder(worlds)
-    replays = replay(records, params, env, [seed], jump=jump, options=options)
+    replays = replay(
+        records, params, env, [seed], jump=jump, options=options, controller=controller
+    )
     columns = [np.array(column) for column in zip(*env.rows, strict=True)]
     observations, commands, robot, cube, elevation, tilt, held = columns
     one = jax.tree.map(lambda x: x[0], params)

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from jaxreplay.errors import ConfigError
+from jaxreplay.machine import read_toml
 from jaxreplay.plane.options import SETTINGS
 from jaxreplay.plane.params import SENSOR_NAMES, SENSOR_RANGES, PlaneParams
 from jaxreplay.plane.positions import TESTED
@@ -107,7 +108,7 @@ def load_config(path: str | Path, changes: Sequence[str] = ()) -> StudyConfig:
             wrong type or out of range.
     """
     path = Path(path)
-    given = _toml(path)
+    given = read_toml(path)
     if isinstance(given.get("demonstrations"), str):
         given["demonstrations"] = str(path.parent / given["demonstrations"])
     try:
@@ -128,7 +129,7 @@ def tuned_changes(path: str | Path) -> list[str]:
         ConfigError: the file is missing or not TOML, or does not contain such parameters, or
             those of other sensors than the plane's.
     """
-    given = _toml(Path(path))
+    given = read_toml(Path(path))
     sigma = given.get("sigma")
     if given.keys() != {"theta_i", "theta_tau", "sigma"} or not isinstance(sigma, dict):
         raise ConfigError(
@@ -148,16 +149,6 @@ def tuned_changes(path: str | Path) -> list[str]:
         except ValueError as error:
             raise ConfigError(f"{path}: {error}") from None
     return [f"{name}={value!r}" for name, value in values.items()]
-
-
-def _toml(path: Path) -> dict[str, Any]:
-    try:
-        with path.open("rb") as file:
-            return tomllib.load(file)
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read: {error.strerror}") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path}: is not TOML: {error}") from None
 
 
 def _change(given: dict, change: str) -> None:

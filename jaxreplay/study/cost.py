@@ -1,12 +1,14 @@
 """The cost of a study, measured on a few of its runs."""
 
 import time
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
 import psutil
 
 from jaxreplay.loop.tracker import LANES, windows_for
+from jaxreplay.plane.params import PlaneParams
 from jaxreplay.records import Records
 from jaxreplay.study.config import StudyConfig
 from jaxreplay.study.runs import Runs, runs_of, shards_of
@@ -28,17 +30,17 @@ class Cost(NamedTuple):
     memory: int
 
 
-def estimate(config: StudyConfig, records: Records) -> Cost:
+def estimate(config: StudyConfig, demonstrations: Mapping[PlaneParams, Records]) -> Cost:
     """Measure a few runs spread over a study, twice: the first time may compile."""
     runs = runs_of(config)
     sample = runs.of(np.unique(np.linspace(0, len(runs) - 1, SAMPLE).astype(int)))
     seconds = 0.0
     for _ in range(2):
         began = time.process_time()
-        for which in shards_of(sample, SAMPLE):
-            replays_of(config, records, sample.of(which))
+        for which in shards_of(config, sample, SAMPLE):
+            replays_of(config, demonstrations, sample.of(which))
         seconds = (time.process_time() - began) / len(sample)
-    return Cost(seconds, _memory(config, records, runs))
+    return Cost(seconds, _memory(config, next(iter(demonstrations.values())), runs))
 
 
 def _memory(config: StudyConfig, records: Records, runs: Runs) -> int:

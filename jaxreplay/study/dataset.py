@@ -20,6 +20,7 @@ STALLS = ("fixed", "cyclic", "slow")  # kinds of an Fs
 VARIABLES: dict[str, dict[str, str]] = {
     "outcome": {"long_name": "outcome of the run", "values": " ".join(OUTCOMES)},
     "stall": {"long_name": "kind of an Fs", "values": " ".join(STALLS)},
+    "lifted": {"units": "1", "long_name": "the cube was lifted at any time"},
     "alignment_error": {"units": "mm", "long_name": "alignment error"},
     "duration": {"units": "s", "long_name": "run duration"},
     "log_evidence": {"units": "1", "long_name": "log p(Z_1:t) of the run"},
@@ -38,6 +39,7 @@ VARIABLES: dict[str, dict[str, str]] = {
         "range",
     },
 }
+SINCE = {"lifted": 2}  # the results format that first had a variable
 TEXT = {"outcome": "<U2", "stall": "<U6"}  # variables that are words, and their type
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from jaxreplay.errors import ConfigError
+from jaxreplay.plane.options import SETTINGS
 from jaxreplay.plane.params import COMMAND_NAMES, SENSOR_NAMES, PlaneParams
 from jaxreplay.plane.positions import DEMONSTRATED
 from jaxreplay.plane.teacher import demonstrate
@@ -15,6 +16,7 @@ from jaxreplay.recordings.read import read
 from jaxreplay.records import Records
 from jaxreplay.study.config import StudyConfig
 from jaxreplay.study.factors import choose_records
+from jaxreplay.study.runs import runs_of, taught_by
 from jaxreplay.study.store import RESULTS_FORMAT
 
 
@@ -30,22 +32,26 @@ def record(params: PlaneParams, positions: np.ndarray, seed: int) -> Records:
     )
 
 
-def demonstrations(config: StudyConfig, folder: Path) -> Records:
-    """Return the records in the config's file; without one, the study's own.
+def demonstrations(config: StudyConfig, folder: Path) -> dict[PlaneParams, Records]:
+    """Return the records that a study replays, by the robot that made them.
 
-    The study's own are made by the teacher and saved in `folder`, if they are not there yet.
+    They are those in the config's file; without one, the study's own. These are made by the
+    teacher, with each robot that a run is taught by (see :func:`jaxreplay.study.runs.taught_by`),
+    and saved in `folder`, if they are not there yet.
 
     Raises:
         ConfigError: the config's file is missing, does not contain records of the plane's sensors
             and commands at its control period, or contains fewer than the study replays; or a
             demonstration by the teacher failed.
     """
-    plane = config.plane
-    # The file name contains a hash of all that determines the demonstrations, so that a file made
-    # with other settings is not reused.
-    made_by = json.dumps([RESULTS_FORMAT, config.seed, DEMONSTRATED.tolist(), asdict(plane)])
-    own = folder / f"demonstrations_{hashlib.sha256(made_by.encode()).hexdigest()[:12]}.npz"
-    path = config.demonstrations or own
+    runs = runs_of(config)
+    robots = dict.fromkeys(taught_by(config, runs, k) for k in range(len(runs)))
+    return {robot: _demonstrated(config, folder, robot) for robot in robots}
+
+
+def _demonstrated(config: StudyConfig, folder: Path, robot: PlaneParams) -> Records:
+    """Return the records in the config's file, or those made with a robot."""
+    path = config.demonstrations or folder / _file_name(config, robot)
     if config.demonstrations and not path.is_file():
         raise ConfigError(
             f"{path}: there is no such file of demonstrations; put it back, or start in the folder "
@@ -54,11 +60,15 @@ def demonstrations(config: StudyConfig, folder: Path) -> Records:
     if not path.exists():
         folder.mkdir(parents=True, exist_ok=True)
         try:
-            record(plane, DEMONSTRATED, config.seed).save(path)
+            record(robot, DEMONSTRATED, config.seed).save(path)
         except RuntimeError as error:
-            raise ConfigError(f"{error}; choose another seed than {config.seed}") from None
+            settings = ", ".join(f"{name} {getattr(robot, name):g}" for name in SETTINGS)
+            raise ConfigError(
+                f"{error} (with {settings}); choose another seed than {config.seed}, a robot that "
+                'can be taught, or taught = "nominal"'
+            ) from None
     records = read(path)
-    _check(records, path, plane)
+    _check(records, path, config.plane)
     for value in config.axes.get("records", (config.fixed.get("records"),)):
         if value is not None:
             try:
@@ -66,6 +76,15 @@ def demonstrations(config: StudyConfig, folder: Path) -> Records:
             except ValueError as error:
                 raise ConfigError(f"{error} (of {path})") from None
     return records
+
+
+def _file_name(config: StudyConfig, robot: PlaneParams) -> str:
+    """Return a name with a hash of all that determines demonstrations.
+
+    So a file made with other settings is not reused.
+    """
+    made_by = json.dumps([RESULTS_FORMAT, config.seed, DEMONSTRATED.tolist(), asdict(robot)])
+    return f"demonstrations_{hashlib.sha256(made_by.encode()).hexdigest()[:12]}.npz"
 
 
 def _check(records: Records, path: Path, plane: PlaneParams) -> None:

@@ -8,6 +8,7 @@ import numpy as np
 from gymnasium.vector import VectorEnv
 
 from jaxreplay.filter.belief import DEFAULT_JUMP, READINGS
+from jaxreplay.loop.rivals import controller_named
 from jaxreplay.plane import light
 from jaxreplay.plane.options import SETTINGS
 from jaxreplay.plane.params import SENSOR_NAMES, SENSOR_RANGES, PlaneParams
@@ -76,6 +77,14 @@ def read_records(given: Any, key: str) -> str:
     if len(set(which)) != len(which):
         raise ValueError(f"{key} contains a record twice: {which}")
     return " ".join(map(str, which))
+
+
+def read_controller(given: Any, key: str) -> str:
+    """Read the name of a controller, or a user's own as "module:name"."""
+    if not isinstance(given, str):
+        raise ValueError(f"{key} must be a controller's name; got {given!r}")
+    controller_named(given)  # before any work is done
+    return given
 
 
 def choose_records(value: str, n_records: int, seed: int, repeat: int) -> list[int]:
@@ -169,6 +178,49 @@ FACTORS: dict[str, Factor] = {
         "sensor noise",
         "1",
         "factor on the sensors' noise",
+    ),
+    "track_bias": Factor(
+        _PLANE.track_bias,
+        number(*SETTINGS["track_bias"]),
+        "track bias",
+        "1",
+        "largest difference of a track's gain from 1, drawn for each run",
+    ),
+    "placing": Factor(
+        _PLANE.placing,
+        number(*SETTINGS["placing"]),
+        "placing",
+        "m",
+        "largest error of where the robot is put down, in x and in y",
+    ),
+    "heading": Factor(
+        _PLANE.heading,
+        number(*SETTINGS["heading"]),
+        "heading",
+        "rad",
+        "largest error of the robot's heading when it is put down",
+    ),
+    "cube_turn": Factor(
+        _PLANE.cube_turn,
+        number(*SETTINGS["cube_turn"]),
+        "cube turn",
+        "rad",
+        "largest angle by which the cube is turned",
+    ),
+    "taught": Factor(
+        "alike",
+        one_of("alike", "nominal"),
+        "taught",
+        "",
+        "robot of the demonstrations: the same as replays, or the nominal one",
+    ),
+    "controller": Factor(
+        "filter",
+        read_controller,
+        "controller",
+        "",
+        "what turns observations into commands",
+        batch_key=lambda value, repeat: value,
     ),
 }
 

@@ -8,10 +8,11 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from jaxreplay.plane.params import PlaneParams
+from jaxreplay.plane.options import SETTINGS
+from jaxreplay.plane.params import NOMINAL, PlaneParams
 from jaxreplay.plane.positions import DEMONSTRATED
 from jaxreplay.study.config import StudyConfig
-from jaxreplay.study.dataset import TEXT, VARIABLES
+from jaxreplay.study.dataset import SINCE, TEXT, VARIABLES
 from jaxreplay.study.factors import FACTORS
 from jaxreplay.study.runs import runs_of, shards_of
 from jaxreplay.study.store import read_manifest, read_shard
@@ -23,8 +24,9 @@ def open_study(folder: str | Path) -> xr.Dataset:
     The filter stores each belief in a window of consecutive moments τ (positions on a record).
 
     Returns:
-        Variables `outcome` (S, Fs, Fg or Fb), `stall` (fixed, cyclic or slow, of an Fs),
-        `alignment_error` (mm, NaN unless S), `duration` (s), `log_evidence`,
+        Variables `outcome` (S, Fs, Fg or Fb), `stall` (fixed, cyclic or slow, of an Fs), `lifted`
+        (1 where the cube was lifted at any time, else 0; NaN in results of format 1),
+        `alignment_error` (mm, NaN unless S), `duration` (s), `log_evidence` (NaN without a filter),
         `widened` (steps computed again in a wider window), `dropped` (log2 of the largest
         probability that a window discarded, bit), and, of one run in 56, `total_variation` and
         `command_error` (see :mod:`jaxreplay.loop.audit`), over the study's axes, `position` and
@@ -43,11 +45,12 @@ def open_study(folder: str | Path) -> xr.Dataset:
         name: np.full(len(runs), "" if name in TEXT else np.nan, TEXT.get(name, float))
         for name in VARIABLES
     }
-    for k, which in enumerate(shards_of(runs, manifest["shard"])):
-        shard = read_shard(folder, k, manifest, VARIABLES)
+    names = [n for n in VARIABLES if manifest.get("format", 0) >= SINCE.get(n, 0)]
+    for k, which in enumerate(shards_of(config, runs, manifest["shard"])):
+        shard = read_shard(folder, k, manifest, names)
         if shard is not None:
-            for name, values in results.items():
-                values[which] = shard[name].values.astype(values.dtype)
+            for name in names:
+                results[name][which] = shard[name].values.astype(results[name].dtype)
     dims = (*config.dims, "position", "repeat")
     shape = (*(len(config.axes[dim]) for dim in config.dims), len(config.positions), config.repeats)
     return xr.Dataset(
@@ -64,8 +67,11 @@ def config_of(dataset: xr.Dataset) -> StudyConfig:
 
 def _config(manifest: dict[str, Any]) -> StudyConfig:
     stored = dict(manifest["config"])
-    known = {f.name for f in fields(PlaneParams)}
+    known = {f.name for f in fields(PlaneParams)} - set(SETTINGS)
     plane = {name: value for name, value in manifest["plane"].items() if name in known}
+    if manifest.get("format", 0) < 2:  # before robots differed from run to run
+        old = {n: v for n, v in NOMINAL.items() if n not in stored["axes"]} | {"taught": "nominal"}
+        stored["fixed"] = old | stored["fixed"]
     return StudyConfig(
         **stored | {"demonstrations": stored["demonstrations"] or None, "plane": plane}
     )

@@ -8,13 +8,17 @@ from tqdm import tqdm
 
 from jaxreplay.study.dataset import OUTCOMES
 
+_UNIT = "% of the simulated time"
+
 
 class Progress:
     """Shows the progress of a study: a bar on a terminal, else a line for every tenth of the work.
 
     Work is counted in simulated seconds: runs that advance together end at about the same time, so
     a count of ended runs would stand still and then leap. A run that has not ended is expected to
-    last as long as the mean of those ended; while there are none, as long as it may.
+    last as long as the mean of those ended, or a quarter longer than it has lasted if that is more,
+    but no longer than the time limit. While none has ended, each is expected to last until the time
+    limit, and no time left is shown.
 
     An instance is called as `run_study` calls its `progress`.
     """
@@ -23,28 +27,32 @@ class Progress:
         """Begin to show the progress of `total` runs that last at most `time_limit` seconds."""
         self._total, self._time_limit = total, time_limit
         self._began, self._share, self._shown = None, 0.0, 0
-        self._bar = tqdm(total=1.0, bar_format="{percentage:3.0f} %|{bar:20}|{desc}", disable=None)
+        self._bar = tqdm(
+            total=1.0, bar_format=f"{{percentage:3.0f}} {_UNIT}|{{bar:10}}|{{desc}}", disable=None
+        )
 
     def __call__(self, outcome: np.ndarray, duration: np.ndarray) -> None:
         """Show the outcomes so far, empty for runs not ended, and the runs' seconds."""
         ended, now = outcome != "", time.monotonic()
         done, simulated = int(ended.sum()), float(duration.sum())
         expected = _expected(ended, duration, self._time_limit)
-        share = 1.0 if done == self._total else min(simulated / expected, 0.999)
+        share = 1.0 if done == self._total else min(simulated / expected, 0.99)
         self._share = max(self._share, share)  # an estimate that rises does not undo work
         if self._began is None:  # runs of an earlier call count as done, but not for the speed
             self._began, self._shown = (now, simulated), int(10 * self._share)
         since, already = self._began
         rate = (simulated - already) / max(now - since, 1e-9)
-        left = tqdm.format_interval((expected - simulated) / rate) if rate > 0 else "?"
+        left = ""
+        if 0 < done < self._total and rate > 0:
+            left = f", {tqdm.format_interval((expected - simulated) / rate)} left"
         counts = ", ".join(f"{name} {np.sum(outcome == name)}" for name in OUTCOMES)
-        line = f"{done} of {self._total} runs, {left} left: {counts}; {rate:.0f} simulated s/s"
+        line = f"{done} of {self._total} runs{left}: {counts}; {rate:.0f} simulated s/s"
         self._bar.n = self._share
         self._bar.set_description_str(f" {line}", refresh=False)
         self._bar.update(0)
         if self._bar.disable and int(10 * self._share) > self._shown:
             self._shown = int(10 * self._share)
-            print(f"{100 * self._share:.0f} %: {line}", file=sys.stderr)
+            print(f"{100 * self._share:.0f} {_UNIT}: {line}", file=sys.stderr)
         if done == self._total:
             self._bar.close()
 
@@ -52,4 +60,6 @@ class Progress:
 def _expected(ended: np.ndarray, duration: np.ndarray, time_limit: float) -> float:
     """Return the seconds that all runs are expected to last, from those that have ended."""
     usual = duration[ended].mean() if ended.any() else time_limit
-    return float(np.where(ended, duration, np.maximum(duration, usual)).sum())
+    # The shortest runs end first, so that the others soon outlast the mean: 1.25 keeps some left.
+    running = np.minimum(np.maximum(1.25 * duration, usual), time_limit)
+    return float(np.where(ended, duration, running).sum())

@@ -53,14 +53,14 @@ def run_study(
     """
     folder = Path(folder)
     check_format(folder)  # before demonstrations are written into it
-    records = demonstrations(config, folder)
+    records = demonstrations(config, folder)  # by the robot that made them
     manifest = manifest_of(config, records, shard_size(config))
     runs = runs_of(config)
     outcome, duration = np.full(len(runs), "", "<U2"), np.zeros(len(runs))
     progress = progress or Progress(len(runs), config.plane.time_limit)
-    with claimed(folder, manifest):
+    with claimed(folder, manifest) as manifest:
         missing = {}
-        for k, which in enumerate(shards_of(runs, manifest["shard"])):
+        for k, which in enumerate(shards_of(config, runs, manifest["shard"])):
             shard = read_shard(folder, k, manifest, VARIABLES)
             if shard is None:
                 missing[k] = which

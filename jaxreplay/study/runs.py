@@ -1,7 +1,7 @@
 """The runs of a study, and for each its parameters, records, cube position and seed."""
 
-import hashlib
-import json
+from collections.abc import Mapping
+from dataclasses import replace
 from itertools import product
 from typing import Any, NamedTuple
 
@@ -10,7 +10,8 @@ from gymnasium.vector import VectorEnv
 
 from jaxreplay.params import Params
 from jaxreplay.plane.env import PlaneVectorEnv
-from jaxreplay.plane.options import SETTINGS
+from jaxreplay.plane.options import SETTINGS, seed_of
+from jaxreplay.plane.params import NOMINAL, PlaneParams
 from jaxreplay.plane.positions import facing
 from jaxreplay.records import Records
 from jaxreplay.study.config import SLOTS, StudyConfig
@@ -64,41 +65,54 @@ def shard_size(config: StudyConfig) -> int:
     return max(SLOTS, config.slots)
 
 
-def shards_of(runs: Runs, size: int) -> list[np.ndarray]:
+def shards_of(config: StudyConfig, runs: Runs, size: int) -> list[np.ndarray]:
     """Divide runs into shards of runs that can be replayed in one batch; return their indices."""
     keys = {name: f.batch_key for name, f in FACTORS.items() if f.batch_key}
     alike: dict[tuple, list[int]] = {}
     for k in range(len(runs)):
         key = tuple(of(runs.values[name][k], runs.repeat[k]) for name, of in keys.items())
-        alike.setdefault(key, []).append(k)
+        alike.setdefault((*key, taught_by(config, runs, k)), []).append(k)
     return [
         np.array(part[i : i + size]) for part in alike.values() for i in range(0, len(part), size)
     ]
 
 
+def taught_by(config: StudyConfig, runs: Runs, k: int) -> PlaneParams:
+    """Return the robot that made the demonstrations of the k-th of these runs.
+
+    It has the settings of the run's own robot, or the nominal ones. A file of demonstrations serves
+    all runs; the nominal robot stands for it.
+    """
+    settings = NOMINAL
+    if not config.demonstrations and runs.values["taught"][k] == "alike":
+        settings = {name: _plain(runs.values[name][k]) for name in SETTINGS}
+    return replace(config.plane, **settings)
+
+
 def settings_of(config: StudyConfig, runs: Runs) -> tuple[Params, list[int], dict[str, np.ndarray]]:
     """Return the parameters, seeds and reset options of n runs, for :func:`jaxreplay.replay`.
 
-    A run's seed is a hash of the study's seed, the run's factors, the index of its position (not
-    the coordinates) and its repeat. It does not depend on the study's other runs.
+    A run's seed follows from the study's seed, the index of its position (not the coordinates) and
+    its repeat alone. So runs that differ in a factor have a world and a noise in common, and can be
+    compared in pairs.
 
     Returns:
         `[n]`-batched parameters, n seeds, and options with n values each (`cube`: `[n, 3]`).
     """
     values = runs.values
     params = Params(values["theta_i"], values["theta_tau"], sigma_of_sensors(values))
-    seeds = []
-    for k in range(len(runs)):
-        given = {name: _plain(value[k]) for name, value in values.items() if value[k] is not None}
-        key = json.dumps([config.seed, given, int(runs.position[k]), int(runs.repeat[k])])
-        seeds.append(int.from_bytes(hashlib.sha256(key.encode()).digest()[:8]))
+    # The 1 keeps them apart from the seeds of demonstrations, (study's seed, index).
+    where = zip(runs.position.tolist(), runs.repeat.tolist(), strict=True)
+    seeds = [seed_of(config.seed, position, repeat, 1) for position, repeat in where]
     options = {name: values[name] for name in SETTINGS}
     options["cube"] = facing(np.array(config.positions)[runs.position])
     return params, seeds, options
 
 
-def records_of(config: StudyConfig, records: Records, runs: Runs) -> Records:
-    """Return the records that the runs of one shard replay.
+def records_of(
+    config: StudyConfig, demonstrations: Mapping[PlaneParams, Records], runs: Runs
+) -> Records:
+    """Return the records that the runs of one shard replay, of all demonstrations by robot.
 
     Sensors are added before records are chosen, so that a record's sensors do not depend on the
     choice.
@@ -106,6 +120,7 @@ def records_of(config: StudyConfig, records: Records, runs: Runs) -> Records:
     Raises:
         ValueError: fewer records than the runs ask for.
     """
+    records = demonstrations[taught_by(config, runs, 0)]
     for sensor in added_sensors(runs.enabled):
         records = _with_sensor(records, sensor, config.seed)
     for name, factor in FACTORS.items():

@@ -1,7 +1,7 @@
 """A shard: runs of a study replayed in one batch, and their results as a dataset."""
 
 import platform
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import jax
@@ -11,17 +11,20 @@ import xarray as xr
 from jaxreplay.errors import ConfigError
 from jaxreplay.loop.audit import audit
 from jaxreplay.loop.replay import Replays, replay
+from jaxreplay.loop.rivals import controller_named
+from jaxreplay.plane.params import PlaneParams
 from jaxreplay.records import Records
 from jaxreplay.study.config import StudyConfig
 from jaxreplay.study.runs import Runs, records_of, settings_of, worlds_of
 from jaxreplay.study.store import RESULTS_FORMAT
 
+Demonstrations = Mapping[PlaneParams, Records]
 AUDITED = 56  # one run in this many is filtered again without windows
 
 
 def run_shard(
     config: StudyConfig,
-    records: Records,
+    demonstrations: Demonstrations,
     runs: Runs,
     which: np.ndarray,
     progress: Callable[[Replays], None] = lambda so_far: None,
@@ -30,7 +33,7 @@ def run_shard(
 
     Args:
         config: the study.
-        records: all its demonstrations.
+        demonstrations: by the robot that made them.
         runs: the n runs.
         which: `[n]` their indices in the study.
         progress: called with the results so far after every control step.
@@ -38,12 +41,14 @@ def run_shard(
     Returns:
         The variables of :data:`jaxreplay.study.dataset.VARIABLES` along `run`.
     """
-    audited = np.flatnonzero(which % AUDITED == 0).tolist()
-    replays = replays_of(config, records, runs, audited, progress)
+    filtered = runs.values["controller"] == "filter"
+    audited = np.flatnonzero((which % AUDITED == 0) & filtered).tolist()
+    replays = replays_of(config, demonstrations, runs, audited, progress)
     outcome = outcomes(replays)
     results = {
         "outcome": outcome,
         "stall": replays.info["stall"],
+        "lifted": replays.info["was_lifted"],
         "alignment_error": np.where(outcome == "S", 1e3 * replays.info["alignment_error"], np.nan),
         "duration": durations(config, replays),
         "log_evidence": replays.log_evidence,
@@ -56,7 +61,7 @@ def run_shard(
         one = runs.of(np.array([k]))
         params = jax.tree.map(lambda x: x[0], settings_of(config, one)[0])
         found = audit(
-            records_of(config, records, one),
+            records_of(config, demonstrations, one),
             params,
             one.values["jump"][0],
             np.array(replays.observations[k]),
@@ -66,14 +71,14 @@ def run_shard(
 
 
 def run_shard_elsewhere(
-    shared: tuple[StudyConfig, Records, dict[str, Any]], runs: Runs, which: np.ndarray
+    shared: tuple[StudyConfig, Demonstrations, dict[str, Any]], runs: Runs, which: np.ndarray
 ) -> xr.Dataset:
     """Do the runs of one shard in a worker, whose installation may differ.
 
     Raises:
         ConfigError: the worker would give other results than the study's manifest promises.
     """
-    config, records, manifest = shared
+    config, demonstrations, manifest = shared
     for what, here in (
         ("format", RESULTS_FORMAT),
         ("dtype", str(jax.dtypes.canonicalize_dtype(np.float64))),
@@ -83,12 +88,12 @@ def run_shard_elsewhere(
                 f"a worker on {platform.node()} has {what} {here}; this study needs "
                 f"{manifest[what]}"
             )
-    return run_shard(config, records, runs, which)
+    return run_shard(config, demonstrations, runs, which)
 
 
 def replays_of(
     config: StudyConfig,
-    records: Records,
+    demonstrations: Demonstrations,
     runs: Runs,
     keep: Sequence[int] = (),
     progress: Callable[[Replays], None] = lambda so_far: None,
@@ -99,12 +104,13 @@ def replays_of(
     """
     params, seeds, options = settings_of(config, runs)
     return replay(
-        records_of(config, records, runs),
+        records_of(config, demonstrations, runs),
         params,
         worlds_of(config, runs),
         seeds,
         jump=runs.values["jump"][0],
         options=options,
+        controller=controller_named(runs.values["controller"][0]),
         keep=keep,
         progress=progress,
     )

@@ -8,7 +8,7 @@ import hashlib
 import json
 import os
 import warnings
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict
 from importlib.metadata import version
@@ -20,8 +20,11 @@ import xarray as xr
 
 from jaxreplay.errors import ConfigError
 from jaxreplay.machine import write_whole
+from jaxreplay.plane.options import SETTINGS
+from jaxreplay.plane.params import PlaneParams
 from jaxreplay.records import Records
 from jaxreplay.study.config import StudyConfig
+from jaxreplay.study.factors import FACTORS
 
 try:
     import fcntl
@@ -31,31 +34,34 @@ except ImportError:  # Windows, where two processes in one folder are not kept a
 # Part of a study's identity; to be raised whenever the same config gives other results
 # (tests/study/test_golden.py fails then).
 # Folders of another number can be read, but not continued.
-RESULTS_FORMAT = 1
+RESULTS_FORMAT = 2
 MANIFEST, LOCK, SHARDS = "study.json", "study.lock", "shards"
 _VERSIONS = "versions"  # for information; they do not belong to the identity
 
 
-def manifest_of(config: StudyConfig, records: Records, shard_size: int) -> dict[str, Any]:
+def manifest_of(
+    config: StudyConfig, demonstrations: Mapping[PlaneParams, Records], shard_size: int
+) -> dict[str, Any]:
     """Return the identity of a study: all that determines its results, and a hash of it.
 
     Args:
         config: the study.
-        records: all its demonstrations.
+        demonstrations: by the robot that made them.
         shard_size: runs per shard; stored as `shard`.
     """
     content = hashlib.sha256()
-    for array in (records.nodes, records.commands, records.lengths, records.offset):
-        content.update(np.ascontiguousarray(array).tobytes())
+    for records in demonstrations.values():
+        for array in (records.nodes, records.commands, records.lengths, records.offset):
+            content.update(np.ascontiguousarray(array).tobytes())
     settings = asdict(config) | {"demonstrations": str(config.demonstrations or "")}
     # A factor without a value is left out, so that a new kind of factor changes no existing study.
     del settings["plane"]
     settings["fixed"] = {name: v for name, v in config.fixed.items() if v is not None}
     identity = {
         "config": settings,
-        "plane": asdict(config.plane),
+        "plane": {n: v for n, v in asdict(config.plane).items() if n not in SETTINGS},
         "demonstrations": content.hexdigest(),
-        "dtype": str(records.nodes.dtype),
+        "dtype": str(next(iter(demonstrations.values())).nodes.dtype),
         "shard": shard_size,
         "format": RESULTS_FORMAT,
     }
@@ -85,10 +91,11 @@ def check_format(folder: Path) -> None:
 
 
 @contextmanager
-def claimed(folder: Path, manifest: dict[str, Any]) -> Iterator[None]:
-    """Reserve a folder for this process and a study.
+def claimed(folder: Path, manifest: dict[str, Any]) -> Iterator[dict[str, Any]]:
+    """Reserve a folder for this process and a study; yield the manifest stored there.
 
-    The manifest is written if there is none; one that is damaged is renamed first.
+    The manifest is written if there is none; one that is damaged is renamed first. One that was
+    written before a factor or a constant existed is of the same study where this has its default.
 
     Raises:
         ConfigError: it contains another study (the message lists the differences), or another
@@ -112,12 +119,12 @@ def claimed(folder: Path, manifest: dict[str, Any]) -> Iterator[None]:
             stored = None
         if stored is None:
             write_whole(folder / MANIFEST, json.dumps(manifest, indent=1).encode())
-        elif stored["hash"] != manifest["hash"]:
-            differs = ", ".join(_differences(stored, manifest))
+        elif differs := _differences(_completed(stored, manifest), manifest):
             raise ConfigError(
-                f"{folder} contains another study, which differs in {differs}; give another --out"
+                f"{folder} contains another study, which differs in {', '.join(differs)}; give "
+                "another --out"
             )
-        yield
+        yield stored or manifest
 
 
 def read_manifest(folder: Path) -> dict[str, Any]:
@@ -172,6 +179,16 @@ def set_aside(path: Path) -> None:
 
 def _path(folder: Path, k: int) -> Path:
     return folder / SHARDS / f"{k:05d}.nc"
+
+
+def _completed(stored: dict[str, Any], wanted: dict[str, Any]) -> dict[str, Any]:
+    """Return a manifest with defaults for the factors and constants that it does not know."""
+    config, plane = stored["config"], asdict(PlaneParams())
+    new = set(wanted["config"]["fixed"]) - {*config["fixed"], *config["axes"]}
+    fixed = {name: FACTORS[name].default for name in new} | config["fixed"]
+    constants = {name: plane[name] for name in wanted["plane"]} | stored["plane"]
+    constants = json.loads(json.dumps(constants))
+    return stored | {"config": config | {"fixed": fixed}, "plane": constants}
 
 
 def _differences(stored: dict[str, Any], wanted: dict[str, Any]) -> list[str]:

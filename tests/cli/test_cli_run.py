@@ -18,7 +18,7 @@ def study(tmp_path_factory):
     folder = tmp_path_factory.mktemp("out")
     (folder / "notes.txt").write_text("mine")
     config = write(tmp_path_factory.mktemp("config"), SMALL)
-    one = ["--set", "positions=[[0.3, 0]]"]
+    one = ["--set", "positions=[[0.28, 0]]"]
     assert cli.main(["run", str(config), "--out", str(folder), *one]) == 0
     return config, folder
 
@@ -37,7 +37,7 @@ def test_a_study_leaves_dataset_figure_and_demonstrations(study):
     assert dataset.sizes["demonstration"] == 20
     assert dataset.outcome.item() == "S"
     assert 0 < dataset.alignment_error.item() < 20  # mm: no magnet holds a face further aside
-    assert config_of(dataset) == load_config(config, ["positions=[[0.3, 0]]"])
+    assert config_of(dataset) == load_config(config, ["positions=[[0.28, 0]]"])
 
 
 def test_a_finished_study_is_not_run_again_but_printed_and_drawn(study, capsys):
@@ -45,7 +45,7 @@ def test_a_finished_study_is_not_run_again_but_printed_and_drawn(study, capsys):
     (folder / "outcomes.png").unlink()
     (shard,) = (folder / "shards").iterdir()
     before = shard.stat().st_mtime_ns
-    again = ["run", str(config), "--out", str(folder), "--set", "positions=[[0.3, 0]]"]
+    again = ["run", str(config), "--out", str(folder), "--set", "positions=[[0.28, 0]]"]
     assert cli.main(again) == 0
     printed = capsys.readouterr()
     assert f"{folder}: 1 run in 1 shard\n" in printed.err

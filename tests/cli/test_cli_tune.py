@@ -49,6 +49,11 @@ def test_tune_prints_and_saves(tmp_path, records, capsys, score):
     ):
         row = next(line for line in printed.splitlines() if line.startswith(name))
         assert [float(x) for x in row.split()[2:4]] == pytest.approx(want, rel=1e-3)
+    (optimised,) = (row for row in printed.splitlines() if row.endswith("(optimised)"))
+    assert optimised.startswith({"commands": "command error", "evidence": "log evidence"}[score])
+    assert printed.endswith(f'jr.Params.load("{path.with_name("walks_own_tau.toml")}")\n')
+    loaded = Params.load(tmp_path / "walks_own_tau.toml")
+    jax.tree.map(np.testing.assert_array_equal, loaded, tuned)
 
 
 @pytest.mark.parametrize(

@@ -16,7 +16,8 @@ def test_the_run_is_done_again_and_saved(tmp_path, monkeypatch, capsys):
     asked = []
 
     def run_again(config, records, k):
-        asked.append((config.fixed["theta_i"], records.n_records, k))
+        (each,) = records.values()
+        asked.append((config.fixed["theta_i"], each.n_records, k))
         return trace()
 
     monkeypatch.setattr(again, "run_again", run_again)
@@ -44,6 +45,9 @@ def test_the_run_is_done_again_and_saved(tmp_path, monkeypatch, capsys):
         (["{config}", "--run", "theta_i=0.2"], r"the study's values are 0\.1"),
         (["{config}", "--run", "repeat=3"], "the study's values are 0, 1, 2"),
         (["{config}", "--run", "theta_i="], "give NAME=VALUE"),
+        (["{config}", "--run", "foo"], "values such as theta_i=0.01,position=0"),
+        (["{config}", "--run", "position=0 repeat=0"], "separate values by commas, such as"),
+        (["{config}", "--run", "jump=own_tau;repeat=0"], "separate values by commas, such as"),
         (["{config}", "--out", "run.mp4"], r"its name must end in \.gif, or in \.png"),
         (["{folder}"], r"study\.json is missing"),
     ],

@@ -43,6 +43,28 @@ def test_an_animation_and_a_still(run, tmp_path):
         np.testing.assert_allclose(last, np.asarray(last_one.convert("RGB"), int), atol=40)
 
 
+def test_grey_pixels_of_a_frame_remain_grey(run, tmp_path):
+    animate(run, 40).save(tmp_path / "run.gif")
+    view = View(run)
+    with Image.open(tmp_path / "run.gif") as gif:
+        for k, t in enumerate(frames(STEPS, 40, 0.1)):
+            gif.seek(k)
+            view.show(t)
+            drawn = np.asarray(view.picture(), int)
+            stored = np.asarray(gif.convert("RGB"), int)
+            grey = np.ptp(drawn, axis=2) == 0
+            assert grey.mean() > 0.5
+            assert np.ptp(stored[grey], axis=1).max() == 0
+            assert np.abs(stored - drawn)[grey].max() <= 3
+
+
+def test_tracks_with_equal_commands_are_both_visible(run):
+    left, right = (line for line, _ in View(run).lines[7:9])
+    assert (left.get_label(), right.get_label()) == ("left track", "right track")
+    assert not left.is_dashed()
+    assert right.is_dashed()
+
+
 @pytest.mark.parametrize("lit", [False, True])
 def test_all_sensors_are_drawn_and_the_light_where_there_is_one(run, lit):
     light = np.full((STEPS, int(lit)), 0.7)
@@ -54,7 +76,7 @@ def test_all_sensors_are_drawn_and_the_light_where_there_is_one(run, lit):
     np.testing.assert_allclose(drawn["camera"], shares[:6, 0])
     np.testing.assert_allclose(drawn["proximeter 5"], shares[:6, 6])
     assert ("light" in drawn) == lit
-    assert not lit or np.all(drawn["light"] == 0.5)
+    assert not lit or np.all(drawn["light"] == 0)  # a constant is at its lowest value
 
 
 def test_a_step_shows_its_own_belief_and_the_past_up_to_it(run):

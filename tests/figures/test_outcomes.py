@@ -13,7 +13,7 @@ def study(folder, text):
 
 def test_a_study_of_one_value_each_has_a_row_and_a_figure(tmp_path):
     dataset = study(tmp_path, "theta_i = 0.01")
-    assert len([line for line in table(dataset).splitlines() if line]) == 5
+    assert len([line for line in table(dataset).splitlines() if line]) == 6
     figure_3(dataset).savefig(tmp_path / "figure.png")
     assert (tmp_path / "figure.png").stat().st_size > 0
 

@@ -1,10 +1,12 @@
+import re
+
 import numpy as np
 import pytest
 import xarray as xr
 from study_helpers import made_up_study, write
 
 from jaxreplay import open_study
-from jaxreplay.figures.table import table, wilson
+from jaxreplay.figures.table import paired, table, wilson
 
 
 @pytest.mark.parametrize(
@@ -34,6 +36,26 @@ def test_after_no_trial_the_rate_may_be_anything():
     assert wilson(0, 0) == (0, 1)
 
 
+def test_the_interval_of_a_paired_difference_holds_the_true_one_as_often_as_it_says():
+    rng = np.random.default_rng(0)
+    for shares in ((0.5, 0.3, 0.1, 0.1), (0.85, 0.1, 0.02, 0.03), (0.2, 0.05, 0.05, 0.7)):
+        true, held = shares[1] - shares[2], 0
+        counts = rng.multinomial(100, shares, 4000)  # both, only one, only other, none
+        for _, b, c, _ in counts:
+            low, middle, high = paired(b, c, 100)
+            assert low <= middle <= high
+            assert middle == (b - c) / 100
+            held += low <= true <= high
+        assert 0.935 < held / len(counts) < 0.985
+
+
+def test_pairs_without_a_difference_have_an_interval_around_0():
+    low, middle, high = paired(0, 0, 300)
+    assert middle == 0
+    assert low == -high
+    assert 0 < high < 0.01
+
+
 def test_the_table_counts_the_dataset(tmp_path):
     text = "theta_i = 0.01\n[axis]\njump = ['own_tau', 'same_tau']"
     made_up_study(write(tmp_path, text), tmp_path)
@@ -43,10 +65,13 @@ def test_the_table_counts_the_dataset(tmp_path):
         counts = [int((runs.outcome == o).sum()) for o in ("S", "Fs", "Fg", "Fb")]
         stalls = [int((runs.stall == s).sum()) for s in ("fixed", "cyclic", "slow")]
         row = table(dataset).splitlines()[1 + k]
-        name, *numbers = row.split()
+        name, *numbers = re.sub(r"\([^)]*\)", "", row).split()  # without intervals
         assert name == reading
-        assert [int(n) for n in numbers[:4]] == counts
-        assert [int(n) for n in numbers[6:9]] == stalls  # after the rate and its interval
+        assert [int(n) for n in numbers[:5]] == [*counts, int((runs.lifted == 1).sum())]
+        won = (dataset.outcome.values == "S").reshape(2, -1).mean(axis=1)
+        expected = "–" if k == 0 else f"{100 * (won[1] - won[0]):+.0f}"
+        assert numbers[6] == expected
+        assert [int(n) for n in numbers[7:10]] == stalls
         errors = runs.alignment_error.values[runs.outcome.values == "S"]
         assert len(errors) > 1
         assert f"{errors.mean():.2f} ± {errors.std(ddof=1) / len(errors) ** 0.5:.2f}" in row
@@ -71,7 +96,7 @@ def test_a_row_of_the_table_is_a_cell_of_the_study():
     assert "in 1, at most by 2.0e-02" in audit
     assert header.split()[:4] == ["motor", "unit", "m/s", "dithering"]
     assert [" ".join(row.split()) for row in rows[:3]] == [
-        "0.0025 on 2 1 0 0 67 (21–94) 0 1 0 2.00 ± 1.00 65.00 ± 5.00",
-        "0.0025 off 0 2 0 1 0 (0–56) 1 0 1 – –",
+        "0.0025 on 2 1 0 0 – 67 (21–94) – 0 1 0 2.00 ± 1.00 65.00 ± 5.00",
+        "0.0025 off 0 2 0 1 – 0 (0–56) -67 (-98, +18) 1 0 1 – –",
         "",
     ]

@@ -6,25 +6,26 @@ import numpy as np
 import pytest
 from filter_helpers import own_tau_first
 from gymnasium.vector import AutoresetMode, VectorEnv
+from plane_helpers import OLD
 
 from jaxreplay import Params, Records, build_filter, reference
 from jaxreplay.loop import tracker as module
 from jaxreplay.loop.replay import replay
 from jaxreplay.plane.env import PlaneVectorEnv
-from jaxreplay.plane.params import SENSOR_RANGES, PlaneParams
+from jaxreplay.plane.params import SENSOR_RANGES
 from jaxreplay.plane.positions import DEMONSTRATED, TESTED, facing
 from jaxreplay.study.demonstrations import record
 from jaxreplay.study.shard import outcomes
 
 pytestmark = pytest.mark.usefixtures("fewer_windows")
 
-LONG = PlaneParams()
+LONG = OLD
 SHORT = replace(LONG, time_limit=12.0)
 
 
 @pytest.fixture(scope="module")
 def records():
-    return record(PlaneParams(), DEMONSTRATED, 3)
+    return record(OLD, DEMONSTRATED, 3)
 
 
 @pytest.fixture(scope="module")
@@ -159,14 +160,14 @@ def test_a_replay_restarted_in_a_tracker_is_a_new_one_and_leaves_the_others_alon
 
 
 def test_replays_fetch_the_cube_where_it_was_demonstrated(records):
-    env = PlaneVectorEnv(5)
+    env = PlaneVectorEnv(5, OLD)
     result = run(records, DEMONSTRATED[[2, 7, 11, 13, 17]], "own_tau", theta_i=1e-3, env=env)
     won = outcomes(result) == "S"
     assert won.sum() >= 3
     assert (result.ending[won] == "completed").all()
-    assert (result.info["alignment_error"][won] < PlaneParams().magnet_offset).all()
+    assert (result.info["alignment_error"][won] < OLD.magnet_offset).all()
     np.testing.assert_array_equal(env.lifted[won], True)
-    assert (result.steps[won] < PlaneParams().max_steps).all()
+    assert (result.steps[won] < OLD.max_steps).all()
     assert (result.reward[won] > 0).all()
 
 

@@ -2,10 +2,21 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from plane_helpers import AWAY, EXACT, HIGH, LOW, PERIOD, SCAN, SUBSTEP, UNIT, plane_with, send
+from plane_helpers import (
+    AWAY,
+    EXACT,
+    HIGH,
+    LOW,
+    OLD,
+    PERIOD,
+    SCAN,
+    SUBSTEP,
+    UNIT,
+    plane_with,
+    send,
+)  # fmt: skip
 
 from jaxreplay.plane.actuators import Servo, Settings, track_speeds
-from jaxreplay.plane.params import PlaneParams
 
 
 def speeds(command, n, unit=UNIT, dithering=True, noise=0.0, params=EXACT):
@@ -52,11 +63,11 @@ def test_dithered_a_robot_comes_as_far_as_commanded_and_undithered_it_stays():
 
 
 def test_wheel_noise_stays_within_its_share():
-    env = plane_with(*[AWAY] * 20, params=PlaneParams())
+    env = plane_with(*[AWAY] * 20, params=OLD)
     send(env, [0.05, 0.05, HIGH, 0, 0], 1)
     way = env.pose.robot[:, 0]
     assert way.std() > 0
-    np.testing.assert_allclose(way, 0.05 * (1 - SUBSTEP), rtol=PlaneParams().wheel_noise)
+    np.testing.assert_allclose(way, 0.05 * (1 - SUBSTEP), rtol=OLD.wheel_noise)
 
 
 @pytest.mark.parametrize("battery", [0.5, 1.0, 1.25])

@@ -9,6 +9,7 @@ from plane_helpers import (
     EXACT,
     HIGH,
     LOW,
+    OLD,
     PERIOD,
     UNIT,
     plane_with,
@@ -18,7 +19,6 @@ from plane_helpers import (
 
 from jaxreplay.plane.env import PlaneVectorEnv
 from jaxreplay.plane.options import seed_of
-from jaxreplay.plane.params import PlaneParams
 from jaxreplay.plane.single import PlaneEnv
 
 NAME = "jaxreplay/FetchCube-v0"
@@ -108,7 +108,7 @@ def test_a_world_that_has_ended_rests_until_it_is_reset():
 
 
 def test_the_single_environment_behaves_as_a_batch_of_one():
-    params = replace(PlaneParams(), time_limit=4.0)
+    params = replace(OLD, time_limit=4.0)
     single, batch = PlaneEnv(params), PlaneVectorEnv(1, params)
     options = {"cube": np.array([0.22, 0.03, 0.2]), "dithering": True, "battery": 0.8}
     one, _ = single.reset(seed=5, options=options)
@@ -182,7 +182,7 @@ def test_actions_beyond_the_limits_are_clipped():
 
 def test_cubes_not_specified_are_placed_25_to_40_cm_ahead_a_face_turned_to_the_robot():
     n = 400
-    env = PlaneVectorEnv(n)
+    env = PlaneVectorEnv(n, OLD)
     env.reset(seed=3)
     x, y, angle = env.pose.cube.T
     for values, low, high in ((x, 0.25, 0.40), (y, -0.1, 0.1)):
@@ -196,7 +196,7 @@ def test_cubes_not_specified_are_placed_25_to_40_cm_ahead_a_face_turned_to_the_r
 def log_of(keys, actions, slots=None, env=None):
     """Observations, states, results and info of the runs with some keys, step by step."""
     slots = np.arange(len(keys)) if slots is None else slots
-    env = env or PlaneVectorEnv(len(keys))
+    env = env or PlaneVectorEnv(len(keys), OLD)
     env.reset(seed=[seed_of(7, k) for k in keys], options=options_of(keys))
     log = []
     for action in actions:
@@ -215,6 +215,9 @@ def options_of(keys):
         "dithering": keys % 2 == 0,
         "battery": 0.8 + 0.01 * keys,
         "motor_unit": np.where(keys % 3, UNIT, 0.01),
+        "track_bias": np.where(keys % 3, 0.1, 0.01),
+        "placing": np.where(keys % 3, 0.01, 0.0),
+        "cube_turn": np.where(keys % 3, 0.1, 0.01),
     }
 
 
@@ -244,7 +247,7 @@ def test_a_run_is_the_same_alone_among_64_and_in_any_order(actions):
 
 def test_a_restart_in_a_slot_is_a_fresh_world_and_leaves_the_others_alone(actions):
     fresh = log_of([4, 5, 6], actions)
-    env = PlaneVectorEnv(3)
+    env = PlaneVectorEnv(3, OLD)
     log_of([0, 5, 3], actions[:160], env=env)
     np.testing.assert_array_equal(env.lifted, [True, False, True])
     env.reset(seed=[seed_of(7, k) for k in (0, 5, 3)], options=options_of([0, 5, 3]))

@@ -5,9 +5,8 @@ import pymunk
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from plane_helpers import EXACT, HIGH, LOW, SCAN, plane_with, pose_of, send
+from plane_helpers import EXACT, HIGH, LOW, OLD, SCAN, plane_with, pose_of, send
 
-from jaxreplay.plane.params import PlaneParams
 from jaxreplay.plane.sensors import camera, infrared, linearised, proximeters, ray_to_square
 
 HALF_IMAGE = EXACT.image_width / 2
@@ -42,7 +41,7 @@ def test_camera_noise_is_in_pixels_and_leaves_no_image():
 @pytest.mark.parametrize("factor", [0.0, 0.5, 1.0, 4.0])
 def test_the_sensor_noise_of_a_world_scales_the_cameras(factor):
     n = 200
-    env = plane_with(*[IN_SIGHT] * n, params=PlaneParams(), sensor_noise=factor)
+    env = plane_with(*[IN_SIGHT] * n, params=OLD, sensor_noise=factor)
     pixels = [
         HALF_IMAGE * env.step(np.tile([0, 0, HIGH, 0, 0], (n, 1)))[0][:, 0] for _ in range(10)
     ]
@@ -157,13 +156,13 @@ def test_proximeter_noise_is_a_share_of_the_response(factor):
     cube = (EXACT.reach + 0.02 + EXACT.side / 2, 0, 0)
     counts = []
     for env in (
-        plane_with(*[cube] * n, params=PlaneParams(), sensor_noise=factor),
+        plane_with(*[cube] * n, params=OLD, sensor_noise=factor),
         plane_with(cube),
     ):
         seen, *_ = send(env, [0, 0, LOW, SCAN, 0], 4)
         counts.append(enki(100 * EXACT.proximeter_range * (1 - seen[:, 1:5].astype(float))))
     noisy, exact = counts
-    share = factor * PlaneParams().proximeter_noise
+    share = factor * OLD.proximeter_noise
     off = noisy / exact - 1
     assert np.abs(off).max() <= share + 1.5 / exact.min()
     assert off.std() == pytest.approx(share / np.sqrt(3), rel=0.15)

@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from plane_helpers import EXACT, PERIOD, UNIT
+from plane_helpers import EXACT, PERIOD
 
 from jaxreplay.plane.params import COMMAND_NAMES, SENSOR_NAMES, PlaneParams
 from jaxreplay.plane.positions import DEMONSTRATED, TESTED, facing
@@ -21,9 +21,10 @@ def test_all_demonstrations_succeed_closely_and_differ(seed):
     sensors, commands = np.concatenate(made.sensors), np.concatenate(made.commands)
     assert (sensors.shape[1], commands.shape[1]) == (len(SENSOR_NAMES), len(COMMAND_NAMES))
     assert np.abs(sensors).max() <= 1
-    units = commands[:, :2] / UNIT
+    unit = PlaneParams().motor_unit
+    units = commands[:, :2] / unit
     np.testing.assert_allclose(units, np.rint(units), atol=1e-5)
-    assert 1 < np.abs(units).max() < EXACT.top_speed / UNIT
+    assert 1 < np.abs(units).max() < EXACT.top_speed / unit
 
 
 def test_a_demonstration_does_not_depend_on_the_others_and_is_repeatable():

@@ -2,10 +2,11 @@ import jax
 import numpy as np
 import pytest
 from random_helpers import random_sequences
+from study_helpers import by_robot
 
 from jaxreplay import Params, Records, reference, replay
 from jaxreplay.plane.env import PlaneVectorEnv
-from jaxreplay.plane.params import SENSOR_RANGES, PlaneParams
+from jaxreplay.plane.params import NOMINAL, SENSOR_RANGES, PlaneParams
 from jaxreplay.plane.positions import DEMONSTRATED, facing
 from jaxreplay.study import again
 from jaxreplay.study.config import StudyConfig
@@ -13,6 +14,7 @@ from jaxreplay.study.demonstrations import record
 from jaxreplay.study.factors import FACTORS
 from jaxreplay.study.shard import outcomes
 
+OLD = PlaneParams(**NOMINAL)
 PARAMS = Params([0.1], [0.05], 0.1 * np.array(SENSOR_RANGES)[None])
 SEED = 5
 
@@ -20,7 +22,7 @@ SEED = 5
 @pytest.fixture(scope="module")
 def records():
     """Demonstrations that end as the robot begins to advance, so that a replay is short."""
-    sensors, commands = record(PlaneParams(), DEMONSTRATED[:6], 3).sequences()
+    sensors, commands = record(OLD, DEMONSTRATED[:6], 3).sequences()
     return Records.from_sequences([s[:90] for s in sensors], [c[:90] for c in commands])
 
 
@@ -31,11 +33,13 @@ def options():
 
 @pytest.fixture(scope="module")
 def trace(records, options):
-    return again.trace_of(records, PARAMS, PlaneVectorEnv(1), "own_tau", SEED, options)
+    return again.trace_of(records, PARAMS, PlaneVectorEnv(1, OLD), "own_tau", SEED, options)
 
 
 def test_a_trace_has_every_step_of_the_replay(records, options, trace):
-    replays = replay(records, PARAMS, PlaneVectorEnv(1), [SEED], jump="own_tau", options=options)
+    replays = replay(
+        records, PARAMS, PlaneVectorEnv(1, OLD), [SEED], jump="own_tau", options=options
+    )
     n = replays.steps[0]
     moving = trace.robot, trace.cube, trace.elevation, trace.tilt, trace.held
     for values in (trace.observations, trace.commands, trace.beliefs, *moving):
@@ -82,12 +86,13 @@ def test_a_run_is_labelled_with_the_studys_values(monkeypatch, records, trace):
     config = StudyConfig(axes, fixed, positions=positions, repeats=2)
     given = []
 
-    def trace_of(records, params, worlds, jump, seed, options):
+    def trace_of(records, params, worlds, jump, seed, options, controller):
         given.append((float(params.theta_i[0]), options["cube"][0, :2].tolist()))
         return trace
 
     monkeypatch.setattr(again, "trace_of", trace_of)
-    runs = [again.run_again(config, records, k) for k in range(8)]
+    robots = by_robot(config, records)
+    runs = [again.run_again(config, robots, k) for k in range(8)]
     cells = [(t, p, r) for t in (0.1, 0.2) for p in (0, 1) for r in (0, 1)]
     assert [(run.values["θ_I"], run.position, run.repeat) for run in runs] == cells
     assert [theta for theta, _ in given] == pytest.approx([theta for theta, *_ in cells])

@@ -23,7 +23,7 @@ def test_a_run_is_found_by_its_number_or_its_values():
     ("run", "message"),
     [
         (60, "give 0 to 59"),
-        ("Fx", "give a run's number, or one of"),
+        ("Fx", "give a run's number, or one of S, .*, slow, or values such as theta_i=0.01,pos"),
         ("S", "no outcomes yet"),
         ({"speed": 1}, "the study has no speed; what varies is jump, theta_i, position, repeat"),
         ({"theta_i": 0.5}, r"theta_i=0\.5: the study's values are 0\.1, 0\.03"),

@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 from plane_helpers import PERIOD
+from study_helpers import by_robot
 
 from jaxreplay.plane.env import PlaneVectorEnv
 from jaxreplay.plane.light import Lit, light_level
@@ -63,13 +64,14 @@ def test_a_run_in_changing_light_is_a_run_of_its_own():
         {"light": (False, True)}, fixed, repeats=1, positions=((0.3, 0.0),), seed=3
     )
     runs = runs_of(config)
-    parts = [runs.of(which) for which in shards_of(runs, 8)]
+    parts = [runs.of(which) for which in shards_of(config, runs, 8)]
     assert [len(part) for part in parts] == [1, 1]
-    plain, bright = (records_of(config, records, part) for part in parts)
+    robots = by_robot(config, records)
+    plain, bright = (records_of(config, robots, part) for part in parts)
     assert [plain.n_sensors, bright.n_sensors] == [7, 8]
     for rows, lighted in zip(records.sequences()[0], bright.sequences()[0], strict=True):
         np.testing.assert_array_equal(lighted[:, :7], rows)
         assert np.ptp(lighted[:, 7]) == 0
-    lighted = replays_of(config, records, parts[1])
+    lighted = replays_of(config, robots, parts[1])
     assert lighted.ending[0]
     assert lighted.steps[0] > 100

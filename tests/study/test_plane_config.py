@@ -60,7 +60,7 @@ def test_a_study_from_python_is_that_of_the_file(tmp_path):
         ({"axes": THETA, "plane": {"area": [0, 1, 0, 1]}}, "plane.area must contain the robot"),
         ({"axes": THETA, "plane": {"substeps": 1.5}}, "plane.substeps must be a whole number"),
         ({"axes": THETA, "plane": {"mass": float("nan")}}, "plane.mass must be finite"),
-        ({"axes": THETA, "plane": PlaneParams(motor_unit=0.01)}, "motor_unit is a factor"),
+        ({"axes": THETA, "plane": PlaneParams(motor_unit=0.02)}, "motor_unit is a factor"),
     ],
 )
 def test_a_mistake_is_told_as_of_a_file(given, message):

@@ -1,8 +1,11 @@
 """Studies made by a version whose results may differ can be read, but are not continued."""
 
+import json
+
 import numpy as np
 import pytest
-from study_helpers import made_up_study, some_records, write
+import xarray as xr
+from study_helpers import by_robot, made_up_study, some_records, write
 
 from jaxreplay import cli, open_study
 from jaxreplay.errors import ConfigError
@@ -11,7 +14,7 @@ from jaxreplay.study.config import load_config
 from jaxreplay.study.run import run_study
 
 TEXT = "theta_i = 0.01\n[axis]\njump = ['own_tau', 'same_tau']"
-OTHERS = [0, 2, None]
+OTHERS = [1, 3, None]
 
 
 @pytest.fixture
@@ -58,7 +61,8 @@ def test_an_unfinished_study_of_another_format_is_not_continued_either(config, t
 
 def test_a_studys_identity_has_the_results_format_and_not_the_packages_version(config, monkeypatch):
     def identity():
-        return store.manifest_of(load_config(config), some_records(), 56)
+        study = load_config(config)
+        return store.manifest_of(study, by_robot(study, some_records()), 56)
 
     before = identity()
     with monkeypatch.context() as patch:
@@ -88,3 +92,41 @@ def test_demonstrations_of_another_format_are_not_taken(config, tmp_path, monkey
     demonstrations.demonstrations(study, tmp_path / "out")
     assert len(made) == 2
     assert len(list((tmp_path / "out").glob("demonstrations_*.npz"))) == 2
+
+
+def test_a_study_of_format_1_is_read_as_of_the_world_of_its_time(tmp_path):
+    config = write(tmp_path, "motor_unit = 0.005\ndithering = true\n" + TEXT)
+    folder = tmp_path / "out"
+    stored = made_up_study(config, folder, format=1)
+    new = ("track_bias", "placing", "heading", "cube_turn", "taught", "controller")
+    for name in new:
+        del stored["config"]["fixed"][name]
+    (folder / "study.json").write_text(json.dumps(stored))
+    for path in (folder / "shards").glob("*.nc"):
+        with xr.open_dataset(path, engine="scipy") as shard:
+            older = shard.drop_vars("lifted").load()
+        older.to_netcdf(path, engine="scipy")
+    dataset = open_study(folder)
+    assert (dataset.outcome != "").all()
+    assert np.isnan(dataset.lifted).all()
+    assert dataset.taught.item() == "nominal"
+    assert dataset.dithering.item()
+    assert [dataset[name].item() for name in new[:4]] == [0, 0, 0, 0]
+
+
+def test_a_folder_made_before_a_factor_or_constant_existed_is_continued(config, tmp_path):
+    folder, study = tmp_path / "out", load_config(config)
+    wanted = made_up_study(config, folder)
+    older = json.loads(json.dumps(wanted))
+    del older["config"]["fixed"]["controller"], older["plane"]["lift"]
+    (folder / "study.json").write_text(json.dumps(older))
+    with store.claimed(folder, wanted) as manifest:
+        assert manifest == older  # whose hash the finished shards have
+    other = store.manifest_of(
+        load_config(config, ["controller=tape"]), by_robot(study, some_records()), 56
+    )
+    with (
+        pytest.raises(ConfigError, match=r"differs in config\.fixed\.controller;"),
+        store.claimed(folder, other),
+    ):
+        pass

@@ -1,6 +1,7 @@
 import numpy as np
-from study_helpers import SMALL, TUNED, VARIED, some_records, write
+from study_helpers import SMALL, TUNED, VARIED, by_robot, some_records, write
 
+from jaxreplay.plane.options import SETTINGS, seed_of
 from jaxreplay.plane.params import SENSOR_RANGES
 from jaxreplay.plane.positions import TESTED, facing
 from jaxreplay.study.config import StudyConfig, load_config, tuned_changes
@@ -20,19 +21,18 @@ def test_the_settings_of_a_run_follow_from_its_own_values():
         sigma = np.asarray(params.sigma) / SENSOR_RANGES
         np.testing.assert_allclose(sigma.T, np.tile(runs.values["sigma"], (7, 1)), rtol=1e-6)
         np.testing.assert_array_equal(options["cube"], facing(TESTED[runs.position]))
-        for name in ("motor_unit", "dithering", "battery", "sensor_noise"):
+        for name in SETTINGS:
             np.testing.assert_array_equal(options[name], runs.values[name])
         return np.array(seeds, np.uint64)
 
     one, two = config(theta_i=(0.1,)), config(theta_i=(0.2, 0.1))
-    assert len(set(settings(two))) == 20
-    np.testing.assert_array_equal(settings(one), settings(two)[10:])
-    np.testing.assert_array_equal(settings(one), settings(config()))
-    crossed = settings(config(dithering=(True, False), theta_i=(0.1, 0.2))).reshape(2, 2, 10)
-    turned = settings(config(theta_i=(0.2, 0.1), dithering=(False, True))).reshape(2, 2, 10)
-    np.testing.assert_array_equal(crossed, turned.swapaxes(0, 1)[::-1, ::-1])
-    np.testing.assert_array_equal(crossed[1, 0], settings(one))
+    assert len(set(settings(one))) == 10
+    np.testing.assert_array_equal(settings(two), np.tile(settings(one), 2))  # cells are comparable
+    crossed = settings(config(dithering=(True, False), theta_i=(0.1, 0.2)))
+    np.testing.assert_array_equal(crossed, np.tile(settings(one), 4))
     assert not set(settings(one)) & set(settings(config(seed=8)))
+    # Neither has a demonstration's noise.
+    assert not set(settings(one)) & {seed_of(7, i) for i in range(20)}
     each = settings_of(two, runs_of(two).of(np.array([13, 2])))[1]
     np.testing.assert_array_equal(np.array(each, np.uint64), settings(two)[[13, 2]])
 
@@ -60,7 +60,7 @@ def test_the_sigma_of_a_sensor_is_the_most_specific_one_given(tmp_path):
 def test_runs_of_a_shard_share_the_jump_and_the_records(tmp_path):
     config = load_config(write(tmp_path, VARIED))
     runs, records = runs_of(config), some_records()
-    shards = shards_of(runs, 8)
+    shards = shards_of(config, runs, 8)
     np.testing.assert_array_equal(np.sort(np.concatenate(shards)), np.arange(len(runs)))
     drawn = {}
     for shard in shards:
@@ -68,7 +68,7 @@ def test_runs_of_a_shard_share_the_jump_and_the_records(tmp_path):
         some = runs.of(shard)
         assert len(set(some.values["jump"])) == 1
         (value,) = set(some.values["records"])
-        chosen = records_of(config, records, some)
+        chosen = records_of(config, by_robot(config, records), some)
         first = [int(s[0, 0]) for s in chosen.sequences()[0]]
         if value == "0 4 19":
             assert first == [0, 4, 19]
