@@ -23,6 +23,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "experiments"))
 
 import causes
 import circle
+import elsewhere
 import findings
 import loop
 import pieces
@@ -271,3 +272,21 @@ def test_bootstrap_intervals():
     low, high = map(float, findings.mean(runs, "duration").split("(")[1][:-1].split("–"))
     # Runs at one position are alike: 120 runs are worth 40.
     assert high - low == pytest.approx(2 * 1.96 / np.sqrt(40), abs=0.15)
+
+
+def test_a_point_retraces_a_path_and_is_pushed_once():
+    times = np.linspace(1, 3, 50)
+    path = np.stack([np.sin(times), times**2], axis=1)
+    rows = elsewhere.resampled(times, path, dt=0.3)
+    np.testing.assert_allclose(rows[[0, -1]], path[[0, -1]])
+    assert len(rows) == 8  # 2 s are about 7 steps
+    env = elsewhere.Point(2, dt=0.3, push_at=3, steps=7)
+    given = {"start": np.tile(rows[0], (2, 1)), "push": np.array([0.0, 0.5])}
+    env.reset(seed=[5, 5], options=given | {"reset_mask": np.ones(2, bool)})
+    off = []
+    for row, velocity in zip(rows[1:], elsewhere.velocities(rows, 0.3), strict=True):
+        seen, _, terminated, truncated, _ = env.step(np.tile(velocity, (2, 1)))
+        off.append(np.linalg.norm(seen - row, axis=1))
+        assert not terminated.any()
+    assert truncated.all()
+    np.testing.assert_allclose(off, [[0, 0]] * 2 + [[0, 0.5]] * 5, atol=1e-12)
