@@ -194,3 +194,12 @@ def test_a_missing_extra_is_named(monkeypatch):
     monkeypatch.setattr(sys, "meta_path", [Missing(), *sys.meta_path])
     with pytest.raises(ConfigError, match=r"needs gmr: pip install 'jaxreplay\[rivals\]'"):
         controller_named("regression")
+
+
+@pytest.mark.parametrize("name", RIVALS)
+def test_commands_stay_within_what_was_recorded(made, paths, name):
+    recorded = np.concatenate(paths.sequences()[1]).astype(float)
+    far = 1e3 * np.random.default_rng(0).normal(size=(40, 2))
+    commands, _ = sent(begun(made[name]), far, np.ones(3, bool))
+    assert commands.min() >= recorded.min() - 1e-6
+    assert commands.max() <= recorded.max() + 1e-6

@@ -68,7 +68,7 @@ class Cloning:
         self._recent.add(z, which)
         elapsed = np.minimum(self._recent.steps / self._median, 1)
         predicted = self._network(np.column_stack([described(self._recent.window), elapsed]))
-        self.command[which] = predicted[which, :-1]
+        self.command[which] = self._rows.within(predicted[:, :-1])[which]
         return Observed(self._at_end.add(predicted[:, -1] > self._end, which).astype(float))
 
 

@@ -74,7 +74,8 @@ class Regression:
         self._recent.add(z, which)
         progress = self._recent.steps / self._median
         seen = self._principal(described(self._recent.window))
-        self.command[which] = self._mixture(np.column_stack([progress, seen]))[which]
+        expected = self._mixture(np.column_stack([progress, seen]))
+        self.command[which] = self._rows.within(expected)[which]
         return Observed((progress >= 1).astype(float))
 
 

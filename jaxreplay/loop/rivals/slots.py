@@ -47,6 +47,13 @@ class Rows(NamedTuple):
         """`[R]` the share (t + 1) / L_i of its record that a row completes."""
         return (self.row + 1) / self.length
 
+    def within(self, command: np.ndarray) -> np.ndarray:
+        """Return commands `[B, n_u]` clipped to their ranges in the records.
+
+        A regression may extrapolate far beyond them.
+        """
+        return np.clip(command, self.command.min(axis=0), self.command.max(axis=0))
+
     @property
     def ends(self) -> np.ndarray:
         """`[R]` bool, whether a row is one of the last 10 of its record."""
