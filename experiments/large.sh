@@ -26,6 +26,7 @@ many() { # positions ahead and aside, and what else differs
 }
 
 many theta_i 15 20 --set repeats=1
+study rivals
 many interpolation 5 6 --set repeats=10
 many dithering 10 15 --set repeats=1 --set "axis.theta_i=[0.1,0.01]" --set "axis.motor_unit=[0.005,0.01,0.02]"
 many battery 10 15 --set repeats=1 --set "axis.theta_i=[0.1,0.01]" --set "axis.battery=[0.2,0.6,1.0]"

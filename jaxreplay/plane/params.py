@@ -71,9 +71,9 @@ class PlaneParams:
     # An assumption, as are `placing`, `heading` and `cube_turn` below. These and the motor unit
     # were chosen together, once, without looking at the filter, so that the world needs feedback:
     # the coarsest motor unit of 0.5 and 1 cm/s at which the teacher fetches the cube in 20 of 20
-    # demonstrations for each of ten seeds, with a median alignment error of 1.5–3 mm (2.3 mm),
-    # while the nearest demonstration played blindly does in at most 30 % of 300 runs (25 and 28 %
-    # with two of these seeds): experiments/world.py
+    # demonstrations for each of ten seeds, with a median alignment error of 1.5–3 mm (2.5 mm; of
+    # single seeds 1.7–3.2), while the nearest demonstration played blindly succeeds in at most
+    # 30 % of 300 runs (24 and 22 % for two of these seeds): experiments/world.py
     track_bias: float = 0.12
     traction: float = 0.6  # friction coefficient of tracks on floor; assumption
 

@@ -28,6 +28,8 @@ from jaxreplay.study.runs import records_of, runs_of, settings_of, worlds_of
 from jaxreplay.study.shard import outcomes
 from jaxreplay.study.store import check_format
 
+ALWAYS = ("theta_i", "theta_tau", "sigma", "jump")  # told of a run, the others if not the default
+
 
 def find_and_run_again(
     study: StudyConfig | Path, run: int | str | Mapping[str, Any], folder: Path
@@ -77,7 +79,11 @@ def run_again(config: StudyConfig, demonstrations: Mapping[PlaneParams, Records]
     jump, chosen = one.values["jump"][0], records_of(config, demonstrations, one)
     controller = controller_named(one.values["controller"][0])
     trace = trace_of(chosen, params, worlds_of(config, one), jump, seed, options, controller)
-    values = {FACTORS[n].symbol: v[0] for n, v in one.values.items() if v[0] is not None}
+    values = {
+        FACTORS[name].symbol: value
+        for name, (value,) in one.values.items()
+        if name in ALWAYS or value not in (None, FACTORS[name].default)
+    }
     return trace._replace(values=values, position=int(one.position[0]), repeat=int(one.repeat[0]))
 
 
