@@ -29,7 +29,7 @@ CHANGES = [
 def main():
     """Run what is missing, and print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--seeds", type=int, default=10)
+    parser.add_argument("--seeds", type=int, default=6)
     parser.add_argument("--workers", type=int)
     parser.add_argument(
         "--set", action="append", default=[], metavar="KEY=VALUE", help="as of `jaxreplay run`"

@@ -18,11 +18,12 @@ def test_a_study_of_one_value_each_has_a_row_and_a_figure(tmp_path):
     assert (tmp_path / "figure.png").stat().st_size > 0
 
 
-def test_a_study_of_no_numbers_has_a_figure(drawn, tmp_path):
+def test_a_study_of_no_numbers_has_a_figure(tmp_path):
     dataset = study(tmp_path, "theta_i = 0.01\n[axis]\ndithering = [true, false]")
-    figure_3(dataset).savefig(tmp_path / "figure.png")
+    figure = figure_3(dataset)
+    figure.savefig(tmp_path / "figure.png")
     assert (tmp_path / "figure.png").stat().st_size > 0
-    outcomes = drawn[0].axes[0]
+    outcomes = figure.axes[0]
     assert [tick.get_text() for tick in outcomes.get_xticklabels()] == ["on", "off"]
     assert outcomes.get_xlabel() == "temporal dithering of the tracks"
 

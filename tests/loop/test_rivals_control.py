@@ -203,3 +203,22 @@ def test_commands_stay_within_what_was_recorded(made, paths, name):
     commands, _ = sent(begun(made[name]), far, np.ones(3, bool))
     assert commands.min() >= recorded.min() - 1e-6
     assert commands.max() <= recorded.max() + 1e-6
+
+
+def test_a_mixture_with_a_gaussian_that_lost_its_samples_is_fitted_again_with_fewer(monkeypatch):
+    """`gmr` divides by 0 where no sample is left to a Gaussian, and NumPy factorises NaN."""
+    fitted = []
+
+    class Empty(regression.GMM):
+        def from_samples(self, *args, **options):
+            super().from_samples(*args, **options)
+            fitted.append(self.n_components)
+            if self.n_components > 2:
+                self.covariances = np.full_like(self.covariances, np.nan)
+
+    monkeypatch.setattr(regression, "GMM", Empty)
+    samples = np.random.default_rng(0).normal(size=(200, 3))
+    priors, means, covariances = regression._fitted(samples, 8)
+    assert fitted == [8, 4, 2]
+    assert (len(priors), means.shape, covariances.shape) == (2, (2, 3), (2, 3, 3))
+    assert np.isfinite(covariances).all()

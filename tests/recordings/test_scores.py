@@ -3,14 +3,14 @@ import dataclasses
 import jax
 import numpy as np
 import pytest
-from filter_helpers import both_readings
+from filter_helpers import own_tau_first
 from recordings_helpers import GRID, TUNED_LENGTHS, expected, far_from_zero
 
 from jaxreplay import Records, reference
 from jaxreplay.recordings.scores import default_params, leave_one_out, leave_out, sensor_span
 
 
-@both_readings
+@own_tau_first
 def test_scores_are_the_references(sequences, records, jump):
     scores = leave_one_out(records, GRID, jump)
     assert scores.steps.tolist() == list(TUNED_LENGTHS)

@@ -11,8 +11,7 @@ from jaxreplay.filter.belief import Jump
 from jaxreplay.loop.controller import Observed
 from jaxreplay.loop.rivals.slots import (
     LAST_ROWS,
-    Lasting,
-    Recent,
+    FromRecent,
     Rows,
     command_error,
     described,
@@ -30,7 +29,7 @@ _NETWORKS = 3  # whose mean is sent; they differ in their first weights
 _APART = 4  # every fourth record is predicted from the others to choose the window
 
 
-class Cloning:
+class Cloning(FromRecent):
     """Send the command that a multilayer perceptron predicts from recent observations.
 
     It stands for behaviour cloning (Pomerleau 1989), as in the project `imitation`, with
@@ -49,19 +48,9 @@ class Cloning:
         """Begin B replays; of the `[B]`-batched params only B is used, and the jump is not."""
         rows = rows_of(records)
         lengths = np.asarray(records.lengths)
-        self._rows, self._median = rows, np.median(lengths)
         self.window, self._network = _fit(rows)
-        slots = len(params.theta_i)
-        self._end = 1 - LAST_ROWS / lengths.mean()
-        self._recent = Recent(rows, slots, self.window)
-        self._at_end = Lasting(slots, rows.second)
-        self.command = np.tile(rows.first, (slots, 1))  # [B, n_u], to be sent next
-
-    def begin(self, which: np.ndarray, params: Params) -> None:
-        """Begin new replays in the slots `which`."""
-        self._recent.begin(which)
-        self._at_end.begin(which)
-        self.command[which] = self._rows.first
+        super().__init__(rows, len(params.theta_i), self.window)
+        self._median, self._end = np.median(lengths), 1 - LAST_ROWS / lengths.mean()
 
     def observe(self, z: np.ndarray, which: np.ndarray) -> Observed:
         """Predict the next commands and the progress of the slots `which`."""

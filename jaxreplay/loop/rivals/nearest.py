@@ -9,8 +9,7 @@ from scipy.spatial.distance import cdist
 from jaxreplay.filter.belief import Jump
 from jaxreplay.loop.controller import Observed
 from jaxreplay.loop.rivals.slots import (
-    Lasting,
-    Recent,
+    FromRecent,
     Rows,
     command_error,
     described,
@@ -41,7 +40,7 @@ class Settings(NamedTuple):
     clock: float
 
 
-class NearestRecent:
+class NearestRecent(FromRecent):
     """Send the mean command that followed the k nearest windows of recent observations.
 
     It stands for visual imitation through nearest neighbours (VINN; Pari et al. 2022), with a
@@ -64,18 +63,9 @@ class NearestRecent:
         rows = rows_of(records)
         lengths = [max(round(seconds * rows.second), 1) for seconds in self._windows]
         self.settings = choose(rows, list(dict.fromkeys(lengths)), self._clocks)
-        slots = len(params.theta_i)
-        self._rows, self._median = rows, np.median(np.asarray(records.lengths))
+        super().__init__(rows, len(params.theta_i), self.settings.window)
+        self._median = np.median(np.asarray(records.lengths))
         self._tree = KDTree(_features(rows, self.settings.window, self.settings.clock))
-        self._recent = Recent(rows, slots, self.settings.window)
-        self._at_end = Lasting(slots, rows.second)
-        self.command = np.tile(rows.first, (slots, 1))  # [B, n_u], to be sent next
-
-    def begin(self, which: np.ndarray, params: Params) -> None:
-        """Begin new replays in the slots `which`."""
-        self._recent.begin(which)
-        self._at_end.begin(which)
-        self.command[which] = self._rows.first
 
     def observe(self, z: np.ndarray, which: np.ndarray) -> Observed:
         """Find the nearest rows of the slots `which`, and their next commands."""

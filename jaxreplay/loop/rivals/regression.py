@@ -10,7 +10,7 @@ from threadpoolctl import threadpool_limits
 from jaxreplay.filter.belief import Jump
 from jaxreplay.loop.controller import Observed
 from jaxreplay.loop.rivals.slots import (
-    Recent,
+    FromRecent,
     Rows,
     command_error,
     described,
@@ -41,7 +41,7 @@ class Settings(NamedTuple):
     window: int
 
 
-class Regression:
+class Regression(FromRecent):
     """Send the command that a Gaussian mixture expects at this time and observation.
 
     It stands for Gaussian mixture regression (Calinon et al. 2007), with the library `gmr`. The
@@ -59,15 +59,8 @@ class Regression:
         """Begin B replays; of the `[B]`-batched params only B is used, and the jump is not."""
         rows = rows_of(records)
         self.settings, self._principal, self._mixture = _fit(rows)
-        slots = len(params.theta_i)
-        self._rows, self._median = rows, np.median(np.asarray(records.lengths))
-        self._recent = Recent(rows, slots, self.settings.window)
-        self.command = np.tile(rows.first, (slots, 1))  # [B, n_u], to be sent next
-
-    def begin(self, which: np.ndarray, params: Params) -> None:
-        """Begin new replays in the slots `which`."""
-        self._recent.begin(which)
-        self.command[which] = self._rows.first
+        super().__init__(rows, len(params.theta_i), self.settings.window)
+        self._median = np.median(np.asarray(records.lengths))
 
     def observe(self, z: np.ndarray, which: np.ndarray) -> Observed:
         """Advance progress in the slots `which`, and predict their next commands."""
@@ -147,8 +140,11 @@ def _fitted(samples: np.ndarray, components: int) -> tuple[np.ndarray, ...]:
                     init_params="kmeans++",
                     oracle_approximating_shrinkage=True,
                 )
-                np.linalg.cholesky(np.asarray(model.covariances))
-            return tuple(map(np.asarray, (model.priors, model.means, model.covariances)))
+                fitted = tuple(map(np.asarray, (model.priors, model.means, model.covariances)))
+                np.linalg.cholesky(fitted[2])
+            if all(np.isfinite(values).all() for values in fitted):
+                return fitted
+            raise ValueError("a Gaussian without samples")
         except (ValueError, np.linalg.LinAlgError):  # not finite, or singular
             if components <= 1:
                 raise

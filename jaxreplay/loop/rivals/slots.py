@@ -8,6 +8,7 @@ from typing import NamedTuple, TypeVar
 
 import numpy as np
 
+from jaxreplay.params import Params
 from jaxreplay.records import Records
 
 LAST_ROWS = 10  # a record's end, as for the filter (§ 2.2.5)
@@ -168,6 +169,27 @@ class Lasting:
         """Count a step in the slots `which`; return where the condition `[B]` lasts, `[B]` bool."""
         self._count[which] = np.where(holds, self._count + 1, 0)[which]
         return self._count >= self._steps
+
+
+class FromRecent:
+    """What controllers share that predict commands from recent observations.
+
+    Attributes:
+        command: `[B, n_u]` the commands to send next; at first the mean of the records' first.
+    """
+
+    def __init__(self, rows: Rows, slots: int, window: int):
+        """Begin B slots with windows of so many rows."""
+        self._rows = rows
+        self._recent = Recent(rows, slots, window)
+        self._at_end = Lasting(slots, rows.second)
+        self.command = np.tile(rows.first, (slots, 1))
+
+    def begin(self, which: np.ndarray, params: Params) -> None:
+        """Begin new replays in the slots `which`, `[B]` bool."""
+        self._recent.begin(which)
+        self._at_end.begin(which)
+        self.command[which] = self._rows.first
 
 
 def command_error(predicted: np.ndarray, command: np.ndarray, spread: np.ndarray) -> np.ndarray:
