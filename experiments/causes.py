@@ -232,7 +232,7 @@ def figure(asked: Asked, theta_i: tuple[float, ...], path: Path):
                 reach = 100 * np.array([wilson(c.count("S"), len(c)) for c in cells]).T
                 ax.errorbar(
                     s, rows + aside[k], xerr=np.abs(reach - s), fmt=marker, markersize=4,
-                    color=str(0.6 * k / max(2, len(theta_i) - 1)),
+                    color=str(0.4 * k / max(2, len(theta_i) - 1)),
                     markerfacecolor="white" if k else "black",
                     capsize=2, lw=0.8, label=f"$\\theta_I$ = {tick_text('theta_i', v)}",
                 )  # fmt: skip
