@@ -220,7 +220,7 @@ def test_the_large_sizes_are_listed_in_one_file(tmp_path):
 
 
 LARGE = {
-    "theta_i": 2 * 10 * 300, "rivals": 4 * 6 * 300, "interpolation": 2 * 8 * 300,
+    "theta_i": 2 * 10 * 300, "rivals": 4 * 7 * 300, "interpolation": 2 * 8 * 300,
     "dithering": 2 * 2 * 3 * 150,
     "battery": 2 * 3 * 150, "light": 2 * 2 * 150, "grid": 7 * 7 * 7 * 30, "sigma": 7 * 7 * 30,
     "noise": 4 * 7 * 30, "outside": 2 * 10 * 13 * 3,

@@ -16,6 +16,7 @@ CONTROLLERS: dict[str, str] = {
     "tape": "jaxreplay.loop.rivals.tape:Tape",
     "nearest": "jaxreplay.loop.rivals.nearest:Nearest",
     "nearest_recent": "jaxreplay.loop.rivals.nearest:NearestRecent",
+    "nearest_timed": "jaxreplay.loop.rivals.nearest:NearestTimed",
     "cloning": "jaxreplay.loop.rivals.cloning:Cloning",
     "regression": "jaxreplay.loop.rivals.regression:Regression",
 }
