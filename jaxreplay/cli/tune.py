@@ -80,17 +80,9 @@ def _tune(options: argparse.Namespace) -> None:
             )
         except ValueError as error:
             raise ConfigError(f"{options.records}: {error}") from None
-    print(_marked(summary(records, tuned), options.score))
+    print(summary(records, tuned))
     save(records, tuned, options.records, path)
     tuning_figure(records, tuned).savefig(path.with_suffix(".png"))
     print(f"{path}: the parameters; {path.with_suffix('.png')}: the figure")
     name = json.dumps(str(path), ensure_ascii=False)
     print(f"In Python, with `import jaxreplay as jr`: jr.Params.load({name})")
-
-
-def _marked(table: str, score: str) -> str:
-    """Return a table of scores whose row of the optimised score says so at its end."""
-    row = {"commands": "command error", "evidence": "log evidence"}[score]
-    return "\n".join(
-        f"{line} (optimised)" if line.startswith(row) else line for line in table.splitlines()
-    )

@@ -36,7 +36,7 @@ def table(dataset: xr.Dataset) -> str:
         row += "".join(f"{np.sum(outcome == o):6d}" for o in OUTCOMES)
         row += _lifted(runs).rjust(8)
         row += rate(np.sum(outcome == "S"), np.sum(outcome != "")).rjust(15)
-        row += difference(outcome, first.outcome.values).rjust(17)
+        row += ("–" if first is None else difference(outcome, first.outcome.values)).rjust(17)
         row += "".join(f"{np.sum(stall == s):8d}" for s in STALLS)
         for name, width in (("alignment_error", 18), ("duration", 20)):
             row += mean_and_error(runs[name].values[outcome == "S"]).rjust(width)
@@ -54,12 +54,16 @@ def table(dataset: xr.Dataset) -> str:
     return "\n".join(lines)
 
 
-def _firsts(dataset: xr.Dataset, dims: list[str]) -> Iterator[xr.Dataset]:
-    """Yield what each cell is compared to: the first cell along the last axis that varies."""
+def _firsts(dataset: xr.Dataset, dims: list[str]) -> Iterator[xr.Dataset | None]:
+    """Yield what each cell is compared to: the first along the last axis that varies.
+
+    That cell itself is compared to none: None.
+    """
     varying = [dim for dim in dims if dataset.sizes[dim] > 1]
     for index in np.ndindex(*(dataset.sizes[dim] for dim in dims)):
         at = dict(zip(dims, index, strict=True))
-        yield dataset.isel(at | dict.fromkeys(varying[-1:], 0))
+        first = at | dict.fromkeys(varying[-1:], 0)
+        yield dataset.isel(first) if first != at else None
 
 
 def _lifted(runs: xr.Dataset) -> str:
@@ -121,7 +125,7 @@ def difference(outcome: np.ndarray, first: np.ndarray) -> str:
     Runs at the same place in both arrays are pairs: they have a world and a noise in common.
     """
     both = (outcome != "") & (first != "")
-    if outcome is first or not both.any() or np.array_equal(outcome, first):
+    if not both.any():
         return "–"
     one, other = (outcome[both] == "S"), (first[both] == "S")
     low, middle, high = paired(np.sum(one & ~other), np.sum(other & ~one), np.sum(both))

@@ -84,7 +84,10 @@ def tune(
 
 
 def summary(records: Records, tuned: Tuned) -> str:
-    """Return a table of parameters and scores, at the start and as tuned."""
+    """Return a table of parameters and scores, at the start and as tuned.
+
+    The row of the score that was optimised says so.
+    """
     start, end = tuned.params(0), tuned.params(tuned.best)
     lowest, highest = (share * sensor_span(records) for share in SIGMA_BOUNDS)
     idle = _without_effect(records, tuned.score)
@@ -102,8 +105,11 @@ def summary(records: Records, tuned: Tuned) -> str:
     n = len(tuned.scores.steps)
     evidence, error = tuned.scores.log_evidence, 100 * tuned.scores.command_error
     note = f"per time step; {n} records, each left out in turn"
+    optimised = {tuned.score: " (optimised)"}
+    note += optimised.get("evidence", "")
     rows.append(("log evidence", evidence[0], evidence[tuned.best], note))
-    rows.append(("command error", error[0], error[tuned.best], "% of the commands' ranges"))
+    note = "% of the commands' ranges" + optimised.get("commands", "")
+    rows.append(("command error", error[0], error[tuned.best], note))
     width = max(len(name) for name, *_ in rows)
     lines = [f"{'':{width}}{'start':>10}{'tuned':>10}"]
     lines += [

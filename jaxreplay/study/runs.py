@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import cache
 from itertools import product
 from typing import Any, NamedTuple
 
@@ -83,10 +84,16 @@ def taught_by(config: StudyConfig, runs: Runs, k: int) -> PlaneParams:
     It has the settings of the run's own robot, or the nominal ones. A file of demonstrations serves
     all runs; the nominal robot stands for it.
     """
-    settings = NOMINAL
+    settings = tuple(NOMINAL[name] for name in SETTINGS)
     if not config.demonstrations and runs.values["taught"][k] == "alike":
-        settings = {name: _plain(runs.values[name][k]) for name in SETTINGS}
-    return replace(config.plane, **settings)
+        settings = tuple(_plain(runs.values[name][k]) for name in SETTINGS)
+    return _robot(config.plane, settings)
+
+
+@cache
+def _robot(plane: PlaneParams, settings: tuple[Any, ...]) -> PlaneParams:
+    """Return the constants with other settings; kept, as a study has few robots and many runs."""
+    return replace(plane, **dict(zip(SETTINGS, settings, strict=True)))
 
 
 def settings_of(config: StudyConfig, runs: Runs) -> tuple[Params, list[int], dict[str, np.ndarray]]:

@@ -56,6 +56,17 @@ def test_pairs_without_a_difference_have_an_interval_around_0():
     assert 0 < high < 0.01
 
 
+def test_a_cell_that_equals_the_first_has_a_difference_with_an_interval(tmp_path):
+    text = "theta_i = 0.01\n[axis]\njump = ['own_tau', 'same_tau']"
+    made_up_study(write(tmp_path, text), tmp_path)
+    dataset = open_study(tmp_path)
+    dataset["outcome"] = xr.full_like(dataset.outcome, "S")
+    first, second = table(dataset).splitlines()[1:3]
+    assert "+0 (" not in first
+    low, _, high = paired(0, 0, 15)
+    assert f"+0 ({100 * low:+.0f}, {100 * high:+.0f})" in second
+
+
 def test_the_table_counts_the_dataset(tmp_path):
     text = "theta_i = 0.01\n[axis]\njump = ['own_tau', 'same_tau']"
     made_up_study(write(tmp_path, text), tmp_path)

@@ -26,7 +26,6 @@ from jaxreplay.records import Records
 _WINDOWS = (1.0, 5.0)  # s
 _HIDDEN = (64, 64)
 _NETWORKS = 3  # whose mean is sent; they differ in their first weights
-_APART = 4  # every fourth record is predicted from the others to choose the window
 
 
 class Cloning(FromRecent):
@@ -118,9 +117,8 @@ def _outputs(rows: Rows) -> np.ndarray:
 
 def _window(rows: Rows) -> int:
     """Return the window in rows with the least error of commands; the first if N < 4."""
-    lengths = [max(round(seconds * rows.second), 1) for seconds in _WINDOWS]
-    apart = rows.record % _APART == _APART - 1
-    if not apart.any():
+    lengths = rows.lasting(_WINDOWS)
+    if not (apart := rows.apart).any():
         return lengths[0]
     outputs, spread = _outputs(rows), spread_of(rows.command)
 

@@ -61,8 +61,8 @@ class NearestRecent(FromRecent):
     def __init__(self, records: Records, params: Params, jump: Jump):
         """Begin B replays; of the `[B]`-batched params only B is used, and the jump is not."""
         rows = rows_of(records)
-        lengths = [max(round(seconds * rows.second), 1) for seconds in self._windows]
-        self.settings = choose(rows, list(dict.fromkeys(lengths)), self._clocks)
+        lengths = list(dict.fromkeys(rows.lasting(self._windows)))
+        self.settings = choose(rows, lengths, self._clocks)
         super().__init__(rows, len(params.theta_i), self.settings.window)
         self._median = np.median(np.asarray(records.lengths))
         self._tree = KDTree(_features(rows, self.settings.window, self.settings.clock))

@@ -31,7 +31,6 @@ _ITERATIONS = 30
 # Standard deviation, in units of each value's own, of noise added to the samples. Commands that
 # are constant in a part of all records would have singular covariances.
 _NOISE = 0.03
-_APART = 4  # every fourth record is predicted from the others to choose the settings
 
 
 class Settings(NamedTuple):
@@ -164,10 +163,9 @@ def _fit(rows: Rows) -> tuple[Settings, _Principal, _Mixture]:
 
 def _choose(rows: Rows) -> Settings:
     """Return the settings with the least error of commands; the first if N < 4."""
-    lengths = [max(round(seconds * rows.second), 1) for seconds in _WINDOWS]
+    lengths = rows.lasting(_WINDOWS)
     numbers = sorted({min(n, len(rows.row) // _ROWS_EACH) for n in _COMPONENTS})
-    apart = rows.record % _APART == _APART - 1
-    if not apart.any():
+    if not (apart := rows.apart).any():
         return Settings(numbers[0], lengths[0])
     errors: dict[Settings, float] = {}
     for length in lengths:

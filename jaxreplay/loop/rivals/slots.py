@@ -1,6 +1,6 @@
 """What the rivals share: rows of the records, and what each slot has observed."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import wraps
 from hashlib import sha256
 from itertools import pairwise
@@ -12,6 +12,7 @@ from jaxreplay.params import Params
 from jaxreplay.records import Records
 
 LAST_ROWS = 10  # a record's end, as for the filter (§ 2.2.5)
+_APART = 4
 _KEPT = 4  # results that `remembered` keeps
 _Fitted = TypeVar("_Fitted")
 
@@ -47,6 +48,15 @@ class Rows(NamedTuple):
     def progress(self) -> np.ndarray:
         """`[R]` the share (t + 1) / L_i of its record that a row completes."""
         return (self.row + 1) / self.length
+
+    @property
+    def apart(self) -> np.ndarray:
+        """`[R]` bool, rows of every fourth record, on which settings are tried; none if N < 4."""
+        return self.record % _APART == _APART - 1
+
+    def lasting(self, seconds: Iterable[float]) -> list[int]:
+        """Return how many rows last so many seconds, at least 1."""
+        return [max(round(each * self.second), 1) for each in seconds]
 
     def within(self, command: np.ndarray) -> np.ndarray:
         """Return commands `[B, n_u]` clipped to their ranges in the records.
