@@ -112,7 +112,7 @@ class InJax:
 
 @jax.jit
 def _log_likelihood(records, params, z, anchor):
-    return likelihood(records, params, z, anchor).log() + log_density(params, z, anchor)
+    return likelihood(records, params, z, anchor) + log_density(params, z, anchor)
 
 
 _record_transition, _time_transition = jax.jit(record_transition), jax.jit(time_transition)

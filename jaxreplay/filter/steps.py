@@ -12,7 +12,7 @@ import numpy as np
 
 from jaxreplay.filter.belief import DEFAULT_JUMP, NOTHING_DROPPED, Belief, Jump
 from jaxreplay.filter.numerics.anchor import anchor_point
-from jaxreplay.filter.numerics.scaled import scaled
+from jaxreplay.filter.numerics.scaled import exp, scaled
 from jaxreplay.filter.observation import likelihood, log_density
 from jaxreplay.filter.transition import predict_own_tau, predict_same_tau
 from jaxreplay.filter.window import follow, resize, view
@@ -101,7 +101,7 @@ def update(
     params = jax.tree.map(lambda value: jnp.asarray(value, z.dtype), params)
     stored = view(records, belief)
     anchor = jax.lax.stop_gradient(anchor_point(stored, params, belief.p, z))
-    joint = belief.p * likelihood(stored, params, z, anchor)
+    joint = belief.p * exp(likelihood(stored, params, z, anchor))
     evidence = joint.sum()
     log_evidence = evidence.log() + log_density(params, z, anchor)
     return dataclasses.replace(belief, p=joint / evidence), log_evidence

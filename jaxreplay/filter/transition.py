@@ -85,8 +85,8 @@ def predict_own_tau(records: Records, params: Params, mass: Scaled) -> Scaled:
         `[N, L]` the predicted belief; its sum is that of `mass`.
     """
     weight = mass.sum(axis=1)[:, None]
-    conditional = time_transition(records, params, mass / weight)
-    return record_transition(params, weight) * conditional
+    change = record_transition(params, weight) / weight
+    return time_transition(records, params, mass * change)
 
 
 @stage

@@ -35,6 +35,7 @@ def view(records: Records, belief: Belief) -> Records:
         nodes=_cut(records.nodes, belief.start, belief.window + 2),
         commands=_cut(records.commands, belief.start, belief.window),
         lengths=records.lengths - belief.start,
+        long=records.long._replace(start=records.long.start + belief.start),
     )
 
 
@@ -52,15 +53,17 @@ def follow(records: Records, belief: Belief) -> Belief:
     room = records.longest - width - belief.start
     stride = jnp.where(less(behind, ahead), jnp.minimum(STRIDE, room), 0)
 
-    column = jnp.arange(width)[None]
-    leaving = column < stride.reshape(-1, 1)  # one for all records, or for each
     p = _window(belief.p.padded((0, STRIDE)), stride, width)
-    start = belief.start + stride
+    moved = dataclasses.replace(belief, p=p, start=belief.start + stride)
+    # What a shift leaves behind: one for all records, or for each.
+    leaving = jnp.arange(STRIDE)[None] < stride.reshape(-1, 1)
     # What the coming prediction may carry past the leading edge.
-    passing = (column >= width - REACH) & (start + width < records.lengths)[:, None]
-    lost = jnp.maximum(_bits(belief, belief.p.where(leaving)), _bits(belief, p.where(passing)))
-    dropped = jnp.maximum(belief.dropped, jnp.max(lost))
-    return dataclasses.replace(belief, p=p, start=start, dropped=dropped)
+    passing = (moved.start + width < records.lengths)[:, None]
+    lost = jnp.maximum(
+        jnp.max(_bits(moved, belief.p[:, _BEHIND].where(leaving))),
+        jnp.max(_bits(moved, p[:, -REACH:].where(passing))),
+    )
+    return dataclasses.replace(moved, dropped=jnp.maximum(belief.dropped, lost))
 
 
 def resize(records: Records, belief: Belief, window: int | None) -> Belief:

@@ -6,18 +6,28 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxreplay.filter.numerics.gaussian import FARTHEST, HALF_LOG2_E
-from jaxreplay.filter.numerics.scaled import LOWEST, Scaled
+from jaxreplay.filter.numerics.scaled import Scaled
 from jaxreplay.params import Params
 from jaxreplay.records import Records
 
+_NEAR = 100.0  # sum of squared distances, in σ: rounding errors of log densities are then below 1e-5
+_FARTHEST = 2.0**20  # σ beyond the records' range, where an observation is clipped
+_NARROWEST = 2.0**50  # in σ, where the records' range is clipped: a smaller σ counts as 1/this of it
 _SQRT_2PI = np.sqrt(2 * np.pi)
 
 
-def measured_only(records: Records, z: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Return z `[n_s]` with a finite value in place of each NaN, and which were measured."""
-    measured = ~jnp.isnan(z)
-    return jnp.where(measured, z, records.nodes[:, 0, 1]), measured
+def measured(records: Records, sigma: jax.Array, z: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Return z `[n_s]` without NaN, and 1/σ `[n_s]`, 0 for a missing sensor.
+
+    Both are clipped, so that squares of distances stay in range.
+    """
+    low, high = records.span
+    beyond = _FARTHEST * jax.lax.stop_gradient(sigma)
+    missing = jnp.isnan(z)
+    z = jnp.clip(jnp.where(missing, low, z), low - beyond, high + beyond)
+    width = high - low
+    inverse = jnp.minimum(1 / sigma, _NARROWEST / jnp.where(width > 0, width, 1 / _NARROWEST))
+    return z, jnp.where(missing, 0.0, inverse)
 
 
 def log_density(params: Params, z: jax.Array, point: jax.Array) -> jax.Array:
@@ -28,21 +38,20 @@ def log_density(params: Params, z: jax.Array, point: jax.Array) -> jax.Array:
         z: `[n_s]` the centred observation; NaN for a missing sensor.
         point: `[n_s]` any point, centred, in the sensors' units.
     """
-    measured = ~jnp.isnan(z)
+    present = ~jnp.isnan(z)
     farthest = jnp.sqrt(jnp.finfo(z.dtype).max) / len(z)  # so that the sum of squares is finite
-    distance = (jnp.where(measured, z, point) - point) / params.sigma
+    distance = (jnp.where(present, z, point) - point) / params.sigma
     distance = jnp.clip(distance, -farthest, farthest)
     logs = -(distance**2) / 2 - jnp.log(params.sigma * _SQRT_2PI)
-    return jnp.sum(jnp.where(measured, logs, 0.0))
+    return jnp.sum(jnp.where(present, logs, 0.0))
 
 
 def anchor_point(records: Records, params: Params, belief: Scaled, z: jax.Array) -> jax.Array:
-    """Choose the anchor for an observation.
+    """Choose the anchor for an observation: near the state that equation 9 will favour.
 
-    It is the observation, clipped to the range of each sensor in the records, as long as log2 of
-    every density relative to it exceeds `LOWEST` / n_s. Farther away (millions of σ, for 7 sensors
-    whose records span 10 σ) it is the point closest to z on the segments of the state that
-    equation 9 will favour.
+    The observation itself, clipped to the records' range, will do while the most probable state is
+    within some σ of it: then so is the state that equation 9 will favour. Otherwise the anchor is
+    the point nearest to z on the segments of the latter.
 
     Args:
         records: N records, centred.
@@ -53,37 +62,41 @@ def anchor_point(records: Records, params: Params, belief: Scaled, z: jax.Array)
     Returns:
         `[n_s]` a point, centred, in the sensors' units.
     """
-    z, measured = measured_only(records, z)
-    low, high = records.span
-    point = jnp.clip(z, low, high)
-    reach, beyond = (
-        jnp.minimum(x / params.sigma, FARTHEST) for x in (high - low, jnp.abs(z - point))
+    z, inverse = measured(records, params.sigma, z)
+    point = jnp.clip(z, *records.span)
+    i, j = _highest(belief.exponent)
+    apart = (records.nodes[:, i, j + 1] - z) * inverse
+    arguments = (records, inverse, z, belief)
+    return jax.lax.cond(
+        jnp.sum(apart * apart) < _NEAR, lambda *_: point, _nearest_point, *arguments
     )
-    # log2 of the largest ratio of two densities: ((beyond + reach)² − beyond²) / (2 ln 2).
-    bits = HALF_LOG2_E * jnp.where(measured, reach * (reach + 2 * beyond), 0.0)
-    near = jnp.max(bits) < -LOWEST // records.n_sensors
-    arguments = (records, params.sigma, z, measured, belief)
-    return jax.lax.cond(near, lambda *_: point, _nearest_point, *arguments)
 
 
 def _nearest_point(
-    records: Records, sigma: jax.Array, z: jax.Array, measured: jax.Array, belief: Scaled
+    records: Records, inverse: jax.Array, z: jax.Array, belief: Scaled
 ) -> jax.Array:
-    """Return the point nearest to z on the segments of the most probable state."""
-    some, unit = records.nodes[:, 0, 1], jnp.sqrt(HALF_LOG2_E) / sigma
-    score = jnp.where(belief.mantissa == 0, -jnp.inf, belief.exponent.astype(z.dtype))
-    for k in range(records.n_sensors):
+    """Return the point nearest to z on the segments of the state that equation 9 will favour."""
+
+    def add(k: jax.Array, score: jax.Array) -> jax.Array:
         nodes = records.nodes[k]
         point = _nearest(z[k], nodes[:, :-2], nodes[:, 1:-1], nodes[:, 2:])
-        # One float is accurate enough for this choice; the likelihood itself takes two.
-        apart, total = some[k] - point, (some[k] - z[k]) + (point - z[k])
-        score += jnp.where(measured[k], (apart * unit[k]) * (total * unit[k]), 0.0)
-    # Not argmax: XLA on CPU fuses it into loops that compute all of the above again.
-    place = jnp.arange(score.size, dtype=jnp.int32).reshape(score.shape)
-    best = jnp.min(jnp.where(score == jnp.max(score), place, score.size - 1))
-    i, j = jnp.unravel_index(best, score.shape)
+        start = records.nodes[k, 0, 1]  # any point: squares of large distances have few digits
+        apart, total = (start - point) * inverse[k], (start + point - 2 * z[k]) * inverse[k]
+        return score + apart * total / 2
+
+    prior = belief.exponent.astype(z.dtype) * float(np.log(2))
+    score = jax.lax.fori_loop(0, records.n_sensors, add, prior)
+    i, j = _highest(jnp.where(belief.mantissa == 0, -jnp.inf, score))
     nodes = records.nodes
     return _nearest(z, nodes[:, i, j], nodes[:, i, j + 1], nodes[:, i, j + 2])
+
+
+def _highest(values: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Return the row and the column of the first of the highest values."""
+    # Not argmax: XLA on CPU fuses it into loops that compute `values` again.
+    place = jnp.arange(values.size, dtype=jnp.int32).reshape(values.shape)
+    first = jnp.min(jnp.where(values == jnp.max(values), place, values.size - 1))
+    return jnp.unravel_index(first, values.shape)
 
 
 def _nearest(z: jax.Array, *nodes: jax.Array) -> jax.Array:

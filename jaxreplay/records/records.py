@@ -8,23 +8,21 @@ from functools import partial
 from io import BytesIO
 from numbers import Real
 from pathlib import Path
-from typing import Literal
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from jaxreplay.machine import write_whole
+from jaxreplay.records.arrays import as_rows, cast, extend, names, offset_of
+from jaxreplay.records.long import LongestFirst, longest_first
 
-# A sensor gets an offset where its largest |value| exceeds this many times its spread: without
-# one, rounding to the working precision would cost its differences three bits or more.
-_FAR = 8
 _BROKEN = (KeyError, ValueError, TypeError, OSError, EOFError, zipfile.BadZipFile, zlib.error)
 
 
 @partial(
     jax.tree_util.register_dataclass,
-    data_fields=["nodes", "commands", "lengths", "span"],
+    data_fields=["nodes", "commands", "lengths", "span", "long"],
     meta_fields=["sensor_names", "command_names", "period", "offset"],
 )
 @dataclass(frozen=True, repr=False)
@@ -45,6 +43,7 @@ class Records:
         commands: `[n_u, N, L]` commands v, in the actuators' own units, 0 past L_i.
         lengths: `[N]` the lengths L_i in samples, int32.
         span: `[2, n_s]` the lowest and the highest of each sensor's nodes, in its own unit.
+        long: the samples that touch the longest segments (see :mod:`jaxreplay.records.long`).
         sensor_names: `[n_s]` distinct names.
         command_names: `[n_u]` distinct names.
         period: time between rows in s; None if unknown.
@@ -57,6 +56,7 @@ class Records:
     commands: jax.Array
     lengths: jax.Array
     span: jax.Array
+    long: LongestFirst
     sensor_names: tuple[str, ...]
     command_names: tuple[str, ...]
     period: float | None
@@ -84,8 +84,8 @@ class Records:
             ValueError: there is no record, a record is empty, shapes or names do not match, a
                 value is not finite in the working precision, or the period is not positive.
         """
-        sensors = [_as_rows(s, "sensors", i) for i, s in enumerate(sensors)]
-        commands = [_as_rows(c, "commands", i) for i, c in enumerate(commands)]
+        sensors = [as_rows(s, "sensors", i) for i, s in enumerate(sensors)]
+        commands = [as_rows(c, "commands", i) for i, c in enumerate(commands)]
         if not sensors:
             raise ValueError("records need at least one demonstration; got none")
         if len(sensors) != len(commands):
@@ -111,19 +111,21 @@ class Records:
 
         lengths = [len(s) for s in sensors]
         longest = max(lengths)
-        offset = _offset(np.concatenate(sensors))
+        offset = offset_of(np.concatenate(sensors))
         sensors = [s - offset for s in sensors]
         mirrored = [np.concatenate([s[:2][-1:], s, s[-2:][:1]]) for s in sensors]
-        nodes = [_extend(m, longest + 2, "edge") for m in mirrored]
-        rows = [_extend(c, longest, "constant") for c in commands]
-        nodes = _cast(np.stack(nodes).transpose(2, 0, 1))
+        nodes = [extend(m, longest + 2, "edge") for m in mirrored]
+        rows = [extend(c, longest, "constant") for c in commands]
+        nodes = cast(np.stack(nodes).transpose(2, 0, 1))
+        span = np.stack([nodes.min((1, 2)), nodes.max((1, 2))])
         return cls(
             nodes=jnp.asarray(nodes),
-            commands=jnp.asarray(_cast(np.stack(rows).transpose(2, 0, 1))),
+            commands=jnp.asarray(cast(np.stack(rows).transpose(2, 0, 1))),
             lengths=jnp.asarray(lengths, dtype=jnp.int32),
-            span=jnp.asarray([nodes.min((1, 2)), nodes.max((1, 2))]),
-            sensor_names=_names(sensor_names, sensors[0].shape[1], "z", "sensor"),
-            command_names=_names(command_names, commands[0].shape[1], "u", "command"),
+            span=jnp.asarray(span),
+            long=longest_first(nodes, np.array(lengths), span),
+            sensor_names=names(sensor_names, sensors[0].shape[1], "z", "sensor"),
+            command_names=names(command_names, commands[0].shape[1], "u", "command"),
             period=None if period is None else float(period),
             offset=tuple(map(float, offset)),
         )
@@ -189,7 +191,7 @@ class Records:
         if isinstance(z, jax.Array):
             offset = jnp.broadcast_to(jnp.asarray(self.offset, z.dtype), z.shape)
             return z - offset if any(self.offset) else z
-        return _cast(np.asarray(z, dtype=np.float64) - np.array(self.offset))
+        return cast(np.asarray(z, dtype=np.float64) - np.array(self.offset))
 
     def misfit(self, name: str, shape: tuple[int, ...]) -> ValueError:
         """Return the error for an argument of this shape that should have a value per sensor."""
@@ -211,13 +213,16 @@ class Records:
             raise ValueError("records need at least one demonstration; got none")
         if bad := [i for i in which if not 0 <= i < self.n_records]:
             raise ValueError(f"no record {bad[0]}: there are {self.n_records}, counted from 0")
-        nodes = self.nodes[:, np.array(which)]
+        nodes = np.asarray(self.nodes)[:, which]
+        lengths = np.asarray(self.lengths)[which]
+        span = np.stack([nodes.min((1, 2)), nodes.max((1, 2))])
         return replace(
             self,
-            nodes=nodes,
+            nodes=jnp.asarray(nodes),
             commands=self.commands[:, np.array(which)],
-            lengths=self.lengths[np.array(which)],
-            span=jnp.stack([nodes.min((1, 2)), nodes.max((1, 2))]),
+            lengths=jnp.asarray(lengths),
+            span=jnp.asarray(span),
+            long=longest_first(nodes, lengths, span),
         )
 
     def save(self, path: str | Path) -> None:
@@ -276,55 +281,3 @@ class Records:
             return cls.from_sequences(sensors, commands, sensor_names, command_names, period)
         except ValueError as error:
             raise ValueError(f"{path}: {error}") from None
-
-
-def _as_rows(rows: np.ndarray, name: str, i: int) -> np.ndarray:
-    """Return one sequence as a float64 array `[L_i, n]`, finite in the working precision."""
-    try:
-        given = np.asarray(rows, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise ValueError(f"record {i}: {name} is not an array of numbers: {error}") from None
-    if given.ndim != 2 or 0 in given.shape:
-        raise ValueError(
-            f"record {i}: {name} must have shape (time steps, dimensions), both at least 1; "
-            f"got {given.shape}"
-        )
-    cast = _cast(given)
-    if not np.isfinite(cast).all():
-        t, k = np.argwhere(~np.isfinite(cast))[0]
-        raise ValueError(
-            f"record {i}: {name}[{t}, {k}] is {given[t, k]}, not a finite {cast.dtype}; "
-            "cut or fill such rows before building records"
-        )
-    return given
-
-
-def _cast(values: np.ndarray) -> np.ndarray:
-    """Return values in the working precision; those too large for it become infinite."""
-    with np.errstate(over="ignore"):
-        return values.astype(jax.dtypes.canonicalize_dtype(np.float64))
-
-
-def _offset(values: np.ndarray) -> np.ndarray:
-    """Return the offset of each column of values `[T, n]`: its middle, or 0; see :class:`Records`.
-
-    It is a float32 number: subtracting it rounds no float32 number within a factor of 2 of it.
-    """
-    low, high = values.min(axis=0), values.max(axis=0)
-    middle = (low / 2 + high / 2).astype(np.float32).astype(np.float64)
-    return np.where(np.maximum(np.abs(low), np.abs(high)) > _FAR * (high - low), middle, 0.0)
-
-
-def _extend(rows: np.ndarray, length: int, mode: Literal["edge", "constant"]) -> np.ndarray:
-    """Return rows `[T, n]` padded to a length: with the last of them, or with zeros."""
-    return np.pad(rows, ((0, length - len(rows)), (0, 0)), mode=mode)
-
-
-def _names(names: Sequence[str] | None, n: int, letter: str, what: str) -> tuple[str, ...]:
-    """Return n distinct names: those given, or the letter numbered from 0."""
-    if names is None:
-        return tuple(f"{letter}{k}" for k in range(n))
-    names = tuple(str(name) for name in names)
-    if len(names) != n or len(set(names)) != n:
-        raise ValueError(f"{n} distinct {what} names are needed; got {list(names)}")
-    return names
