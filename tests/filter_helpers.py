@@ -94,23 +94,36 @@ def tolerance(sensors, zs, sigma, precision="float32"):
     return 1e-5 + 1e-6 * (np.maximum.accumulate(away) + np.arange(1, len(zs) + 1))
 
 
-def errors(got, want, tolerance, precision="float32"):
+def far_tolerance(sensors, zs, sigma):
+    """`[T]` the error that rounding may add to the log odds of two records by each step.
+
+    2^-23 D² a step: D is the distance from the observation to the sample nearest to it of the
+    record for which that is farthest, in σ (the root of the sum of squares over the sensors).
+    """
+    squares = [
+        max(((((samples - z) / sigma) ** 2).sum(1)).min() for samples in sensors) for z in zs
+    ]
+    return 2.0**-23 * np.cumsum(squares)
+
+
+def errors(got, want, tolerance, precision="float32", more=0.0):
     """The largest error of each result of :func:`run`, divided by the allowed error.
 
-    For a log evidence, 10^-4 (float32) of its magnitude is allowed, or of 1 where that is larger.
+    For a log evidence, 10^-4 (float32) of its magnitude is allowed, or of 1 where that is larger;
+    and `more`, `[T]` or a number, for all.
     """
     relative = {"float32": 1e-4, "float64": 1e-9}[precision]
     found = {}
     for name, a, b in zip(("posterior", "command", "evidence", "end"), got, want, strict=True):
-        allowed = tolerance.reshape(-1, *[1] * (b.ndim - 1))
+        allowed = (tolerance + more).reshape(-1, *[1] * (b.ndim - 1))
         if name == "evidence":
-            allowed = relative * np.maximum(np.abs(b), 1)
+            allowed = relative * np.maximum(np.abs(b), 1) + more
         found[name] = float(np.max(np.abs(a - b) / allowed))
     return found
 
 
-def assert_agree(got, want, tolerance, precision="float32"):
-    found = errors(got, want, tolerance, precision)
+def assert_agree(got, want, tolerance, precision="float32", more=0.0):
+    found = errors(got, want, tolerance, precision, more)
     assert all(error <= 1 for error in found.values()), found
 
 

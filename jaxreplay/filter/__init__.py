@@ -15,10 +15,11 @@ Arguments come in one order: records, params, belief, observation z.
 """
 
 from collections.abc import Callable
-from functools import cache, partial
+from functools import cache, partial, wraps
 from typing import NamedTuple
 
 import jax
+import numpy as np
 
 from jaxreplay.filter.belief import DEFAULT_JUMP, READINGS, Belief, Jump
 from jaxreplay.filter.steps import command, end_probability, init, posterior, predict, update
@@ -56,17 +57,30 @@ def build_filter(jump: Jump = DEFAULT_JUMP, window: int | None = None) -> Filter
         raise ValueError(f"jump must be one of {', '.join(READINGS)}; got {jump!r}")
     if window is not None and window < NARROWEST:
         raise ValueError(f"window must be None or at least {NARROWEST} samples; got {window}")
-    jitted_update = jax.jit(update)
+    jitted = jax.jit(update)
 
     def update_raw(records, params, belief, z):
+        if np.shape(z) != (records.n_sensors,):
+            raise records.misfit("z", np.shape(z))
         # Centred here: `jit` would round a NumPy array before its offset is subtracted.
-        return jitted_update(records.centred(), params, belief, records.centre(z))
+        return jitted(records.centred(), params, belief, records.centre(z))
 
     return Filter(
-        init=jax.jit(partial(init, jump=jump, window=window)),
-        predict=jax.jit(predict),
-        command=jax.jit(command),
+        init=_nameless(partial(init, jump=jump, window=window)),
+        predict=_nameless(predict),
+        command=_nameless(command),
         update=update_raw,
-        posterior=jax.jit(posterior),
-        end_probability=jax.jit(end_probability),
+        posterior=_nameless(posterior),
+        end_probability=_nameless(end_probability),
     )
+
+
+def _nameless(step: Callable) -> Callable:
+    """Jit a step so that it is compiled once for records that differ in their names alone."""
+    jitted = jax.jit(step)
+
+    @wraps(step)
+    def call(records, *args):
+        return jitted(records.centred(), *args)
+
+    return call

@@ -16,7 +16,6 @@ from jaxreplay.records import Records
 __all__ = ["likelihood", "log_density"]
 
 
-
 def likelihood(records: Records, params: Params, z: jax.Array, anchor: jax.Array) -> jax.Array:
     """Compute equation 2, log p(Z_t | I_t = i, τ_t = j) for all i and j, relative to an anchor.
 

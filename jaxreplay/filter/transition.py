@@ -89,7 +89,6 @@ def predict_own_tau(records: Records, params: Params, mass: Scaled) -> Scaled:
     return time_transition(records, params, mass * change)
 
 
-@stage
 def _jump(theta_i: jax.Array, mass: Scaled) -> Scaled:
     n = mass.exponent.shape[0]
     if n == 1:
@@ -115,16 +114,11 @@ def _inside(lengths: jax.Array, mass: Scaled) -> jax.Array:
 def _sum_of_others(mass: Scaled) -> Scaled:
     """Return Σ_{i' ≠ i} mass[i'] for every i along axis 0, without cancellation.
 
-    The total minus the term is accurate, unless this term alone has the highest exponent; then the
-    others are summed by themselves. The mantissas returned need not be in [1, 2).
+    The total minus the term is accurate, unless this term is more than half of the total; then the
+    others are summed by themselves.
     """
-    highest = jnp.max(mass.exponent, axis=0, keepdims=True)
-    top = mass.exponent == highest
-    tops = jnp.sum(jnp.where(top, mass.mantissa, 0.0), axis=0, keepdims=True)
-    rest = mass.where(~top)
-    second = jnp.max(rest.exponent, axis=0, keepdims=True)
-    rests = jnp.sum(rest.at(second), axis=0, keepdims=True)
-    alone = top & (tops == mass.mantissa)
-    term = jnp.where(top, mass.mantissa, rest.at(highest))
-    others = (tops - term) + Scaled(rests, second).at(highest)
-    return Scaled(jnp.where(alone, rests, others), jnp.where(alone, second, highest))
+    total = mass.sum(axis=0)[None]
+    term = mass.at(total.exponent)
+    largest = term > total.mantissa / 2
+    others = mass.where(~largest).sum(axis=0)[None]
+    return select(largest, others, Scaled(total.mantissa - term, total.exponent))

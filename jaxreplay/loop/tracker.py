@@ -11,13 +11,13 @@ import numpy as np
 from jaxreplay.filter import build_filter
 from jaxreplay.filter.belief import NOTHING_DROPPED, Belief, Jump
 from jaxreplay.filter.numerics.scaled import LOWEST
-from jaxreplay.loop.lanes import Steps, lane, steps
+from jaxreplay.loop.lanes import Steps, lane, results_of, steps
 from jaxreplay.machine import cores
 from jaxreplay.params import Params
 from jaxreplay.records import Records
 
 # Widths of windows to choose from, in samples of a record, besides all samples.
-WINDOWS = (128, 256, 384, 512, 768, 1152, 1728, 2592, 3888)
+WINDOWS = (160, 256, 416, 672, 1088, 1760, 2848, 4608)
 # Replays that are advanced in one call, so that one compiled program serves all: two calls, one on
 # each of two cores, advance the 56 slots that a study has by default.
 LANES = 28
@@ -25,7 +25,7 @@ NARROW_EVERY = 32  # steps after which a narrower window is tried
 # A window may drop a hypothesis only if it is so improbable that this many observations could not
 # make it win again, even if each favoured it by as much as the records' range allows (for
 # observations inside that range), …
-RETURN_AFTER = 24
+RETURN_AFTER = 8
 MARGIN = 200  # … and by this many bits more, for records that hardly differ
 # A narrower window is taken only if what it drops is this many bits below the limit: else it would
 # soon be widened again.
@@ -108,9 +108,12 @@ class Tracker:
         # LOWEST − 1 is below the exponent of every probability but 0: then only 0 may be dropped.
         limit = np.maximum(-RETURN_AFTER * most - MARGIN, LOWEST - 1)
         self.droppable = limit.astype(np.int32)
-        command = self._run(0, self._steps(0).begin, which, params)
-        self.command[which] = np.asarray(command)[which]
-        self.window[which] = self.widened[which] = self._observed[which] = 0
+        self._params, self._limit = jax.tree.map(jnp.asarray, (params, self.droppable))
+        beliefs = self._beliefs[0] or self._empty_beliefs(0)
+        self._beliefs[0] = self._steps(0).begin(self._centred, beliefs, _chosen(which))
+        self.window[which] = 0
+        self.observe(np.full((len(which), self.records.n_sensors), np.nan), which)
+        self.widened[which] = self._observed[which] = 0
         self.dropped[which] = -np.inf
 
     def observe(self, z: np.ndarray, which: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -130,9 +133,9 @@ class Tracker:
             now = which & (self.window == k)
             if not now.any():
                 continue
-            results = self._run(k, self._steps(k).observe, now, self.params, z, self.droppable)
-            results = jax.tree.map(np.asarray, results)
-            lossy = now & (results.dropped > self.droppable)
+            step = self._steps(k).observe
+            results = results_of(self._run(k, step, now, self._params, z, self._limit))
+            lossy = now & (results.too_much > 0)
             if k < last and lossy.any():
                 self._run(k + 1, self._steps(k + 1).move, lossy, self._beliefs[k])
                 self.window[lossy] += 1  # the loop comes to it next
@@ -160,14 +163,13 @@ class Tracker:
             _lane_of(self._empty_beliefs(k), 0)
             compiled = self._steps(k)
             self._call(
-                compiled.observe, self._empty_beliefs(k), nobody, self.params, z, self.droppable
+                compiled.observe, self._empty_beliefs(k), nobody, self._params, z, self._limit
             )
             for neighbour in {max(k - 1, 0), min(k + 1, last)} - {k}:
                 self._call(
                     compiled.move, self._empty_beliefs(k), nobody, self._empty_beliefs(neighbour)
                 )
 
-        self._call(self._steps(0).begin, self._empty_beliefs(0), nobody, self.params)
         with ThreadPoolExecutor(cores()) as threads:
             list(threads.map(compile_for, range(last + 1)))
 
@@ -200,10 +202,16 @@ class Tracker:
         return results
 
     def _call(self, step: Any, beliefs: Belief, which: np.ndarray, first: Any, *rest: Any) -> Any:
-        chosen = np.argsort(~which, kind="stable").astype(np.int32)
-        return step(self._centred, first, beliefs, chosen, which.sum(), *rest)
+        return step(self._centred, first, beliefs, _chosen(which), *rest)
 
     def _empty_beliefs(self, k: int) -> Belief:
         """Return memory for the beliefs of all replays in window k."""
         shapes = jax.eval_shape(build_filter(self.jump, self.windows[k]).init, self._centred)
         return jax.tree.map(lambda x: jnp.zeros((len(self.window), *x.shape), x.dtype), shapes)
+
+
+def _chosen(which: np.ndarray) -> np.ndarray:
+    """Return the indices of the replays in `which`, filled up to B with B."""
+    chosen = np.full(len(which), len(which), np.int32)
+    chosen[: which.sum()] = np.flatnonzero(which)
+    return chosen

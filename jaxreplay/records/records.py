@@ -171,8 +171,13 @@ class Records:
         )
 
     def centred(self) -> "Records":
-        """Return the records with offset 0 and the nodes unchanged, for centred observations."""
-        return replace(self, offset=(0.0,) * self.n_sensors) if any(self.offset) else self
+        """Return the nodes and commands unchanged, for centred observations.
+
+        The offset is 0, and names and period are left out, so that programs compiled for records
+        of one shape serve all of them.
+        """
+        offset = (0.0,) * self.n_sensors
+        return replace(self, sensor_names=(), command_names=(), period=None, offset=offset)
 
     def centre(self, z: np.ndarray | jax.Array) -> np.ndarray | jax.Array:
         """Return observations less the offset, as the nodes are stored.
@@ -195,9 +200,10 @@ class Records:
 
     def misfit(self, name: str, shape: tuple[int, ...]) -> ValueError:
         """Return the error for an argument of this shape that should have a value per sensor."""
+        names = f" ({', '.join(self.sensor_names)})" if self.sensor_names else ""
         return ValueError(
-            f"{name} has shape {shape}; the records have {self.n_sensors} sensors "
-            f"({', '.join(self.sensor_names)}), so ({self.n_sensors},) is needed"
+            f"{name} has shape {shape}; the records have {self.n_sensors} sensors{names}, so "
+            f"({self.n_sensors},) is needed"
         )
 
     def subset(self, which: Sequence[int]) -> "Records":

@@ -1,4 +1,4 @@
-"""Whole runs agree with the reference up to 1,000 σ from the records, and stay finite farther."""
+"""Whole runs agree with the reference up to 30 σ from the records, and stay sensible farther."""
 
 from functools import cache
 
@@ -9,6 +9,7 @@ from filter_helpers import (
     assert_agree,
     both_readings,
     case,
+    far_tolerance,
     noise,
     own_tau_first,
     params_of,
@@ -20,8 +21,9 @@ from filter_helpers import (
 from hypothesis import given
 from hypothesis import strategies as st
 from random_helpers import as_float32
+from scipy.special import logsumexp
 
-from jaxreplay import build_filter
+from jaxreplay import build_filter, reference
 
 SIGMA = as_float32([0.7, 2.3])
 N, LONGEST = 4, 60  # one shape for most cases, so that JAX compiles once
@@ -172,6 +174,8 @@ OTHERS = {  # each compiled for itself
 }
 MORE_THAN_30_AWAY = ("mirrored", "midway", "from far", "far apart", "50 σ")
 UP_TO_30 = [name for name in CASES if not any(part in name for part in MORE_THAN_30_AWAY)]
+# Records that compete while all, or all but one, are far from the observations: rounding adds up.
+FAR = ("mirrored", "midway", "left 50 σ", "equally far")
 
 
 @cache
@@ -185,24 +189,41 @@ def expected(name, jump):
     return run_reference((sensors, commands), zs, *params, jump)
 
 
-def check(case, want, jump, precision="float32"):
+def check(case, want, jump, precision="float32", far=False):
     sensors, commands, zs, *_, sigma = case
     with x64(precision):
         got, _ = run(build_filter(jump), (sensors, commands), zs, params_of(case))
     assert got[0].dtype == precision
-    assert_agree(got, want, tolerance(sensors, zs, sigma, precision), precision)
+    more = far_tolerance(sensors, zs, sigma) if far else 0.0
+    assert_agree(got, want, tolerance(sensors, zs, sigma, precision), precision, more)
 
 
 @both_readings
 @pytest.mark.parametrize("name", CASES)
 def test_float32_agrees_with_the_reference(name, jump):
-    check(made(name), expected(name, jump), jump)
+    check(made(name), expected(name, jump), jump, far=name.startswith(FAR))
 
 
 @own_tau_first
 @pytest.mark.parametrize("name", OTHERS)
 def test_float32_agrees_with_the_reference_in_other_shapes(name, jump):
-    check(made(name), expected(name, jump), jump)
+    check(made(name), expected(name, jump), jump, far="far" in name)
+
+
+@both_readings
+@pytest.mark.parametrize("name", ["mirrored", "midway", "equally far, 50 σ"])
+def test_the_right_record_wins_where_its_lead_exceeds_the_error(name, jump):
+    sensors, commands, zs, *params = made(name)
+    case, at = made(name), reference.Params(*params)
+    (posterior, *_), _ = run(build_filter(jump), (sensors, commands), zs, params_of(case))
+    error, belief, clear = far_tolerance(sensors, zs, at.sigma), reference.init(sensors), 0
+    for t, z in enumerate(zs):
+        belief, _ = reference.update(sensors, at, reference.predict(sensors, at, belief, jump), z)
+        logs = logsumexp(belief, axis=1)
+        if np.diff(np.sort(logs))[-1] > 2 * error[t]:
+            assert posterior[t].sum(1).argmax() == logs.argmax()
+            clear += 1
+    assert clear >= {"mirrored": 30, "midway": 1, "equally far, 50 σ": 0}[name]
 
 
 @own_tau_first

@@ -33,7 +33,7 @@ def test_likelihood_is_equation_2(precision, seed, apart, away):
         records = Records.from_sequences(sensors, commands)
         params = Params(*PARAMS)
         points = (jnp.asarray(x, precision) for x in (z, anchor))
-        got = np.asarray(jitted_likelihood(records, params, *points), float)
+        got = np.array(jitted_likelihood(records, params, *points), float)
     got += norm.logpdf(z, anchor, SIGMA).sum()
     tolerance = {"float32": 1e-5, "float64": 1e-11}[precision]
     want = reference.likelihood(sensors, PARAMS, z)

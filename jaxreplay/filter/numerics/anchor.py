@@ -10,9 +10,13 @@ from jaxreplay.filter.numerics.scaled import Scaled
 from jaxreplay.params import Params
 from jaxreplay.records import Records
 
-_NEAR = 100.0  # sum of squared distances, in σ: rounding errors of log densities are then below 1e-5
+_NEAR = (
+    100.0  # sum of squared distances, in σ: rounding errors of log densities are then below 1e-5
+)
 _FARTHEST = 2.0**20  # σ beyond the records' range, where an observation is clipped
-_NARROWEST = 2.0**50  # in σ, where the records' range is clipped: a smaller σ counts as 1/this of it
+_NARROWEST = (
+    2.0**50
+)  # in σ, where the records' range is clipped: a smaller σ counts as 1/this of it
 _SQRT_2PI = np.sqrt(2 * np.pi)
 
 
@@ -72,9 +76,7 @@ def anchor_point(records: Records, params: Params, belief: Scaled, z: jax.Array)
     )
 
 
-def _nearest_point(
-    records: Records, inverse: jax.Array, z: jax.Array, belief: Scaled
-) -> jax.Array:
+def _nearest_point(records: Records, inverse: jax.Array, z: jax.Array, belief: Scaled) -> jax.Array:
     """Return the point nearest to z on the segments of the state that equation 9 will favour."""
 
     def add(k: jax.Array, score: jax.Array) -> jax.Array:

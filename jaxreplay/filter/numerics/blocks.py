@@ -31,9 +31,7 @@ class Block(NamedTuple):
     start: jax.Array | int
 
 
-def in_blocks(
-    sums: Callable[[Block], jax.Array], nodes: jax.Array, sensors: Sensor
-) -> jax.Array:
+def in_blocks(sums: Callable[[Block], jax.Array], nodes: jax.Array, sensors: Sensor) -> jax.Array:
     """Return sums over the sensors, computed by blocks of samples and groups of sensors.
 
     Args:

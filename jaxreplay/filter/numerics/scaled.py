@@ -18,7 +18,7 @@ from jaxreplay.filter.numerics.stage import stage
 
 # Exponents are clipped to ± this. Hypotheses less probable than 2^LOWEST are all treated as equally
 # probable, but not as impossible.
-LOWEST = -(2**27)
+LOWEST = -(2**29)
 ZERO = (0.0, 2 * LOWEST)  # mantissa and exponent of 0
 
 _LAYOUT = {  # of floats: the integer type of their width, mantissa bits, exponent bias
@@ -47,14 +47,15 @@ class Scaled:
 
     def __mul__(self, other: "Scaled") -> "Scaled":
         """Return the product, its mantissas not normalised."""
-        return Scaled(self.mantissa * other.mantissa, self.exponent + other.exponent)
+        exponent = jnp.maximum(self.exponent + other.exponent, ZERO[1])  # in range for the next
+        return Scaled(self.mantissa * other.mantissa, exponent)
 
     def __truediv__(self, other: "Scaled") -> "Scaled":
         """Return the quotient, its mantissas not normalised; 0 / 0 is 0."""
         zero = other.mantissa == 0
         divisor = jnp.where(zero, 1.0, other.mantissa)
-        exponent = jnp.where(zero, 0, other.exponent)
-        return Scaled(self.mantissa / divisor, self.exponent - exponent)
+        exponent = self.exponent - jnp.where(zero, 0, other.exponent)
+        return Scaled(self.mantissa / divisor, jnp.maximum(exponent, ZERO[1]))
 
     def __getitem__(self, index) -> "Scaled":
         """Return part of the arrays."""
@@ -114,7 +115,7 @@ def exp(x: jax.Array) -> Scaled:
 
 def exp_minus(x: jax.Array) -> jax.Array:
     """Return e^−x for x ≥ 0; below the smallest normal float, 0."""
-    _, bits, bias = _LAYOUT[x.dtype]
+    *_, bias = _LAYOUT[x.dtype]
     x = jnp.minimum(x * _LOG2_E, bias)
     whole = jnp.round(jax.lax.stop_gradient(x))
     return _exp2(whole - x) * _power_of_two(-whole.astype(jnp.int32), x.dtype)

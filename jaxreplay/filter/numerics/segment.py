@@ -4,8 +4,8 @@ Every mean is returned as a *peak*, the logarithm of the highest density on the 
 the density at an anchor, and a *factor* in (0, 1] by which the mean is below it. So nothing
 underflows however far the observation is, and no logarithm is computed for a single sensor.
 
-With length d and ends at distances x_a, x_b from z, all in σ, and w = |x_b² − x_a²| / 2 = d · |x_a +
-x_b| / 2, the factor of a segment on which z does not lie is
+With length d and ends at distances x_a, x_b from z, all in σ, and w = |x_b² − x_a²| / 2, the factor
+of a segment on which z does not lie is
 
     ∫₀¹ exp(−w r + d²/2 · r (1 − r)) dr = Σ_k (d²/2)^k / k! · s_k(w),
     s_k(w) = ∫₀¹ (r (1 − r))^k exp(−w r) dr
