@@ -269,9 +269,10 @@ def test_period_must_be_a_positive_time(period):
         Records.from_sequences(one, one, period=period)
 
 
-def test_records_are_a_pytree_of_four_arrays(records):
+def test_records_are_a_pytree_of_arrays(records):
     leaves, structure = jax.tree.flatten(records)
-    assert [leaf.shape for leaf in leaves] == [(2, 4, 7), (2, 4, 5), (4,), (2, 2)]
+    listed = [leaf.shape for leaf in records.long]
+    assert [leaf.shape for leaf in leaves] == [(2, 4, 7), (2, 4, 5), (4,), (2, 2), *listed]
     assert_same(records, jax.tree.unflatten(structure, leaves))
     assert jax.tree.map(lambda _: None, records).sensor_names == records.sensor_names
 

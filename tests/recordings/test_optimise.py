@@ -79,7 +79,7 @@ def test_the_optimisation_comes_to_the_best_of_a_grid(paced):
 def test_evidence_drives_the_sigma_of_what_repeats_itself_to_the_least(paced, monkeypatch):
     monkeypatch.setattr(optimise, "SIGMA_BOUNDS", (0.05, 10.0))
     sensors, commands = paced.sequences()
-    sensors = [np.column_stack([s[:, 0], np.arange(len(s)) % 2]) for s in sensors]
+    sensors = [np.column_stack([s[:, 0], np.arange(len(s)) // 8 % 2]) for s in sensors]
     repeating = Records.from_sequences(sensors, commands)
     *_, end = optimise.optimise(
         repeating, default_params(repeating), "own_tau", "evidence", steps=30
