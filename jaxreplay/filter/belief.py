@@ -40,9 +40,9 @@ class Belief:
         start: the first stored sample, int32. One number under `same_tau`, where a jump keeps τ;
             `[N]`, one for each record, under `own_tau`. 0 without a window.
         dropped: log2 of the probability of the most probable hypothesis that a window has
-            discarded so far, int32; rounded down. Under `own_tau` it is relative to the most
-            probable sample of the same record, and right to within one bit either way.
-            `NOTHING_DROPPED` if nothing was discarded.
+            discarded so far, int32; right to within two bits either way. Under `own_tau` it is
+            relative to the most probable sample of the same record. `NOTHING_DROPPED` if nothing
+            was discarded.
         jump: the reading of a jump, `"same_tau"` or `"own_tau"`; static.
         window: W, or None where all samples are stored (W = L); static.
     """

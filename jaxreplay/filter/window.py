@@ -97,10 +97,10 @@ def resize(records: Records, belief: Belief, window: int | None) -> Belief:
 
 
 def _bits(belief: Belief, part: Scaled) -> jax.Array:
-    """Return log2 of `part`, `[N, …]` probabilities of the belief, rounded down.
+    """Return log2 of `part`, `[N, …]` probabilities of the belief, right to within two bits.
 
     Under `own_tau`, where each record keeps a distribution of its own, it is relative to the most
-    probable sample of the record: a difference of two exponents, right to within one bit.
+    probable sample of the record.
     """
     top = 0
     if belief.jump == "own_tau":

@@ -10,13 +10,10 @@ from jaxreplay.filter.numerics.scaled import Scaled
 from jaxreplay.params import Params
 from jaxreplay.records import Records
 
-_NEAR = (
-    100.0  # sum of squared distances, in σ: rounding errors of log densities are then below 1e-5
-)
+# Sum of squared distances, in σ, up to which rounding costs a log density less than 1e-5.
+_NEAR = 100.0
 _FARTHEST = 2.0**20  # σ beyond the records' range, where an observation is clipped
-_NARROWEST = (
-    2.0**50
-)  # in σ, where the records' range is clipped: a smaller σ counts as 1/this of it
+_NARROWEST = 2.0**50  # a σ below 1/this of the records' range counts as that
 _SQRT_2PI = np.sqrt(2 * np.pi)
 
 

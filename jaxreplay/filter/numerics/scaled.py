@@ -40,7 +40,11 @@ _LOG_2 = (0.693359375, float(np.log(2) - 0.693359375))
 @partial(jax.tree_util.register_dataclass, data_fields=["mantissa", "exponent"], meta_fields=[])
 @dataclass(frozen=True)
 class Scaled:
-    """Numbers mantissa × 2^exponent: a float and an int32 array of one shape; 0 has mantissa 0."""
+    """Numbers mantissa × 2^exponent: a float and an int32 array of one shape; 0 has mantissa 0.
+
+    Sums are normalised, that is, have mantissas in [1, 2). Products and quotients are not, as this
+    would take longer than they do; a few in a row stay far within a float's range.
+    """
 
     mantissa: jax.Array
     exponent: jax.Array
