@@ -26,7 +26,7 @@ NARROW_EVERY = 32  # steps after which a narrower window is tried
 # A window may drop a hypothesis only if it is so improbable that this many observations could not
 # make it win again, even if each favoured it by as much as the records' range allows (for
 # observations inside that range), … Of 300 replays in the default world one had a command changed
-# by 2e-4 of its range with 8, by 5e-5 with 10, and by nothing with 12.
+# by 2e-4 of its range with 8, by 5e-5 with 10, and by 2e-6 with 12.
 RETURN_AFTER = 12
 MARGIN = 200  # … and by this many bits more, for records that hardly differ
 # A narrower window is taken only if what it drops is this many bits below the limit: else it would
@@ -165,7 +165,7 @@ class Tracker:
             _lane_of(self._empty_beliefs(k), 0)
             compiled = self._steps(k)
             self._call(
-                compiled.observe, self._empty_beliefs(k), nobody, self._params, z, self._limit
+                compiled.observe, self._empty_beliefs(k), nobody, self._params, z, self.droppable
             )
             for neighbour in {max(k - 1, 0), min(k + 1, last)} - {k}:
                 self._call(
