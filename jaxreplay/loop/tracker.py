@@ -18,7 +18,7 @@ from jaxreplay.records import Records
 
 # Widths of windows to choose from, in samples of a record, besides all samples. With twice as many
 # widths a study took as long: replays of each width are a call of their own.
-WINDOWS = (160, 256, 416, 672, 1088, 1760, 2848, 4608)
+WINDOWS = (192, 320, 448, 672, 1088, 1760, 2848, 4608)
 # Replays that are advanced in one call, so that one compiled program serves all: two calls, one on
 # each of two cores, advance the 56 slots that a study has by default.
 LANES = 28
