@@ -58,8 +58,8 @@ class Steps(NamedTuple):
 
 def results_of(columns: jax.Array) -> Results:
     """Return the results that :class:`Steps` has in columns (one array is copied faster)."""
-    columns = np.array(columns)
-    return Results(columns[:, :-4], *columns.T[-4:])
+    copied = np.array(columns)
+    return Results(copied[:, :-4], *copied.T[-4:])
 
 
 def steps(jump: Jump, window: int | None) -> Steps:

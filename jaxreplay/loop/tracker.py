@@ -86,7 +86,8 @@ class Tracker:
             windows: widths in ascending order, to choose from besides all samples; `WINDOWS` if
                 None.
         """
-        self.records, self.params, self.jump = records, params, jump
+        self.records, self.params = records, params
+        self.jump: Jump = jump
         self.windows = windows_for(records, windows)
         self._centred = records.centred()
         n = len(params.theta_i)

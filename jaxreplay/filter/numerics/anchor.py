@@ -95,7 +95,8 @@ def _highest(values: jax.Array) -> tuple[jax.Array, jax.Array]:
     # Not argmax: XLA on CPU fuses it into loops that compute `values` again.
     place = jnp.arange(values.size, dtype=jnp.int32).reshape(values.shape)
     first = jnp.min(jnp.where(values == jnp.max(values), place, values.size - 1))
-    return jnp.unravel_index(first, values.shape)
+    row, column = jnp.unravel_index(first, values.shape)
+    return row, column
 
 
 def _nearest(z: jax.Array, *nodes: jax.Array) -> jax.Array:

@@ -40,15 +40,15 @@ def with_long_segments(records: Records, block: Block, means: Mean) -> Mean:
             jax.lax.dynamic_slice_in_dim, start_index=c * CHUNK, slice_size=CHUNK, axis=-1
         )
         sensor, record, place, ends = map(cut, long[1:-1])
+        first, second = ends
         sensor -= block.first
         its = Sensor(*(values.at[sensor].get(mode="clip") for values in sensors))
-        exact = stage(long_mean)(*ends, its)
+        exact = stage(long_mean)(first, second, its)
         column = place - long.start[record]
         at = record * columns + column - block.start
         stored = (sensor >= 0) & (sensor < group) & (column >= 0) & (column < columns - 1)
-        stored &= (
-            (at >= 0) & (at < n_segments) & (length(*ends, its) > _CERTAIN * LONG[width.dtype])
-        )
+        stored &= (at >= 0) & (at < n_segments)
+        stored &= length(first, second, its) > _CERTAIN * LONG[width.dtype]
         at = jnp.where(stored, sensor * n_segments + at, group * n_segments)
         return Mean(*(x.at[at].set(y, mode="drop") for x, y in zip(flat, exact, strict=True)))
 
