@@ -19,10 +19,16 @@ from functools import cache, partial, wraps
 from typing import NamedTuple
 
 import jax
-import numpy as np
 
 from jaxreplay.filter.belief import DEFAULT_JUMP, READINGS, Belief, Jump
-from jaxreplay.filter.steps import command, end_probability, init, posterior, predict, update
+from jaxreplay.filter.steps import (
+    command,
+    end_probability,
+    init,
+    posterior,
+    predict,
+    update,
+)
 from jaxreplay.filter.window import NARROWEST
 from jaxreplay.params import Params
 from jaxreplay.records import Records
@@ -60,8 +66,7 @@ def build_filter(jump: Jump = DEFAULT_JUMP, window: int | None = None) -> Filter
     jitted = jax.jit(update)
 
     def update_raw(records, params, belief, z):
-        if np.shape(z) != (records.n_sensors,):
-            raise records.misfit("z", np.shape(z))
+        records.check_one_each(z=z, sigma=params.sigma)  # here, where sensors have names
         # Centred here: `jit` would round a NumPy array before its offset is subtracted.
         return jitted(records.centred(), params, belief, records.centre(z))
 

@@ -94,9 +94,7 @@ def update(
     Raises:
         ValueError: z or σ does not have n_s values.
     """
-    for name, value in (("z", z), ("sigma", params.sigma)):
-        if jnp.shape(value) != (records.n_sensors,):
-            raise records.misfit(name, jnp.shape(value))
+    records.check_one_each(z=z, sigma=params.sigma)
     z = jnp.asarray(records.centre(z), records.nodes.dtype)
     params = jax.tree.map(lambda value: jnp.asarray(value, z.dtype), params)
     stored = view(records, belief)

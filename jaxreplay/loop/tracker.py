@@ -112,8 +112,8 @@ class Tracker:
         limit = np.maximum(-RETURN_AFTER * most - MARGIN, LOWEST - 1)
         self.droppable = limit.astype(np.int32)
         self._params = jax.tree.map(jnp.asarray, params)  # copied to the device once
-        beliefs = self._beliefs[0] or self._empty_beliefs(0)
-        self._beliefs[0] = self._steps(0).begin(self._centred, beliefs, _chosen(which))
+        begin = self._steps(0).begin
+        self._beliefs[0] = begin(self._centred, self._stored_beliefs(0), _chosen(which))
         self.window[which] = 0
         self.observe(np.full((len(which), self.records.n_sensors), np.nan), which)
         self.widened[which] = self._observed[which] = 0
@@ -198,14 +198,17 @@ class Tracker:
 
         `first` is what a step takes before the beliefs: params, or for `move` the source.
         """
-        beliefs = self._beliefs[k]
-        if beliefs is None:
-            beliefs = self._empty_beliefs(k)
+        beliefs = self._stored_beliefs(k)
         self._beliefs[k], results = self._call(step, beliefs, which, first, *rest)
         return results
 
     def _call(self, step: Any, beliefs: Belief, which: np.ndarray, first: Any, *rest: Any) -> Any:
         return step(self._centred, first, beliefs, _chosen(which), *rest)
+
+    def _stored_beliefs(self, k: int) -> Belief:
+        """Return the beliefs in window k; before the first, memory for them."""
+        beliefs = self._beliefs[k]
+        return self._empty_beliefs(k) if beliefs is None else beliefs
 
     def _empty_beliefs(self, k: int) -> Belief:
         """Return memory for the beliefs of all replays in window k."""

@@ -198,6 +198,16 @@ class Records:
             return z - offset if any(self.offset) else z
         return cast(np.asarray(z, dtype=np.float64) - np.array(self.offset))
 
+    def check_one_each(self, **values: np.ndarray | jax.Array) -> None:
+        """Check that named values have one number for each sensor.
+
+        Raises:
+            ValueError: a value does not have the shape `[n_s]`.
+        """
+        for name, value in values.items():
+            if np.shape(value) != (self.n_sensors,):
+                raise self.misfit(name, np.shape(value))
+
     def misfit(self, name: str, shape: tuple[int, ...]) -> ValueError:
         """Return the error for an argument of this shape that should have a value per sensor."""
         names = f" ({', '.join(self.sensor_names)})" if self.sensor_names else ""
