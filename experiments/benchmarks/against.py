@@ -100,7 +100,7 @@ def measure(folder: Path, jump: str) -> dict[str, float]:
     except ModuleNotFoundError:
         tracker = import_module("jaxreplay.tracker").Tracker
     records = jr.Records.load(folder / "records.npz")
-    saved = np.load(folder / f"{jump}.npz")
+    saved = dict(np.load(folder / f"{jump}.npz"))  # reads each array once
     replays = np.split(saved["observations"], np.cumsum(saved["steps"])[:-1])
     sigma = np.full(replays[0].shape[1], SIGMA)
 

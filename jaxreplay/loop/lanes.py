@@ -11,6 +11,7 @@ import numpy as np
 
 from jaxreplay.filter import build_filter
 from jaxreplay.filter.belief import NOTHING_DROPPED, Belief, Jump
+from jaxreplay.filter.numerics.stage import stage
 from jaxreplay.filter.steps import update
 from jaxreplay.filter.window import resize
 
@@ -119,7 +120,8 @@ def _each(one: Callable, beliefs: Belief, chosen: jax.Array):
 
     def body(k, so_far):
         b = chosen[k]
-        new = one(b, lane(so_far[0], b))
+        # A stage: else the step reads all beliefs in many places, and XLA copies them all for it.
+        new = one(b, stage(lane)(so_far[0], b))
         return jax.tree.map(lambda x, y: x.at[b].set(y), so_far, new)
 
     return jax.lax.fori_loop(0, jnp.sum(chosen < len(chosen)), body, (beliefs, results))

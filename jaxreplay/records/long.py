@@ -1,4 +1,4 @@
-"""The longest segments of all records first: where equation 2 needs its exact form."""
+"""The longest segments of each sensor first: where equation 2 needs its exact form."""
 
 from typing import NamedTuple
 
@@ -6,47 +6,45 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-CHUNK = 768  # segments that are taken from the list at a time
+CHUNK = 128  # segments of each sensor that are taken from the list at a time
 
 
 class LongestFirst(NamedTuple):
-    """All M segments of all sensors, the longest first, in chunks of `CHUNK`.
+    """All M segments of each sensor, the longest first, in chunks of `CHUNK`.
+
+    The list is filled up with segments of length zero.
 
     Attributes:
-        longest: `[M / CHUNK]` the length of each chunk's first segment, as a share of its sensor's
-            span.
-        sensor: `[M]` int32; `n_s` where the list is filled up.
-        record: `[M]` int32.
-        place: `[M]` int32, the number of the segment in its record: from node `place` to the next
-            (see `Records.nodes`).
-        ends: `[2, M]` those two nodes.
+        longest: `[n_s, M / CHUNK]` the length of each chunk's first segment, in the sensor's unit.
+        record: `[n_s, M]` int32.
+        place: `[n_s, M]` int32, the number of the segment in its record: from node `place` to the
+            next (see `Records.nodes`).
+        ends: `[2, n_s, M]` those two nodes.
         start: `[N]` int32, the segment at which each record's window begins; 0 without a window.
     """
 
     longest: jax.Array
-    sensor: jax.Array
     record: jax.Array
     place: jax.Array
     ends: jax.Array
     start: jax.Array
 
 
-def longest_first(nodes: np.ndarray, lengths: np.ndarray, span: np.ndarray) -> LongestFirst:
-    """Return the list for nodes `[n_s, N, L + 2]`, lengths `[N]` and span `[2, n_s]`."""
-    width = np.diff(span.astype(np.float64), axis=0)[0]
-    share = np.abs(np.diff(nodes.astype(np.float64)))
-    share /= np.where(width > 0, width, 1)[:, None, None]
-    share[:, np.arange(share.shape[2]) > lengths[:, None]] = 0
-    order = np.argsort(-share, axis=None, kind="stable")
-    sensor, record, place = places = np.unravel_index(order, share.shape)
-    longest = share[places][::CHUNK]
-    fill = (0, len(longest) * CHUNK - len(order))
+def longest_first(nodes: np.ndarray, lengths: np.ndarray) -> LongestFirst:
+    """Return the list for nodes `[n_s, N, L + 2]` of records of these lengths, `[N]`."""
+    apart = np.abs(np.diff(nodes.astype(np.float64)))
+    apart[:, np.arange(apart.shape[2]) > lengths[:, None]] = 0
+    n_segments = apart.shape[2]
+    apart = apart.reshape(len(nodes), -1)
+    order = np.argsort(-apart, axis=1, kind="stable")
+    record, place = np.divmod(order, n_segments)
+    sensor = np.arange(len(nodes))[:, None]
+    fill = ((0, 0), (0, -order.shape[1] % CHUNK))
     ends = np.array([nodes[sensor, record, place + k] for k in range(2)])
     return LongestFirst(
-        longest=jnp.asarray(longest, nodes.dtype),
-        sensor=jnp.asarray(np.pad(sensor, fill, constant_values=len(nodes)), jnp.int32),
+        longest=jnp.asarray(np.take_along_axis(apart, order, 1)[:, ::CHUNK], nodes.dtype),
         record=jnp.asarray(np.pad(record, fill), jnp.int32),
         place=jnp.asarray(np.pad(place, fill), jnp.int32),
-        ends=jnp.asarray(np.pad(ends, ((0, 0), fill))),
+        ends=jnp.asarray(np.pad(ends, ((0, 0), *fill))),
         start=jnp.zeros(len(lengths), jnp.int32),
     )

@@ -43,7 +43,7 @@ class Records:
         commands: `[n_u, N, L]` commands v, in the actuators' own units, 0 past L_i.
         lengths: `[N]` the lengths L_i in samples, int32.
         span: `[2, n_s]` the lowest and the highest of each sensor's nodes, in its own unit.
-        long: the samples that touch the longest segments (see :mod:`jaxreplay.records.long`).
+        long: the list of the longest segments (see :mod:`jaxreplay.records.long`).
         sensor_names: `[n_s]` distinct names.
         command_names: `[n_u]` distinct names.
         period: time between rows in s; None if unknown.
@@ -123,7 +123,7 @@ class Records:
             commands=jnp.asarray(cast(np.stack(rows).transpose(2, 0, 1))),
             lengths=jnp.asarray(lengths, dtype=jnp.int32),
             span=jnp.asarray(span),
-            long=longest_first(nodes, np.array(lengths), span),
+            long=longest_first(nodes, np.array(lengths)),
             sensor_names=names(sensor_names, sensors[0].shape[1], "z", "sensor"),
             command_names=names(command_names, commands[0].shape[1], "u", "command"),
             period=None if period is None else float(period),
@@ -238,7 +238,7 @@ class Records:
             commands=self.commands[:, np.array(which)],
             lengths=jnp.asarray(lengths),
             span=jnp.asarray(span),
-            long=longest_first(nodes, lengths, span),
+            long=longest_first(nodes, lengths),
         )
 
     def save(self, path: str | Path) -> None:

@@ -1,5 +1,7 @@
 """The means of one segment and of two, the list of long segments, and what they are made of."""
 
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -8,7 +10,8 @@ from filter_helpers import both_precisions, x64
 from hypothesis import given
 from hypothesis import strategies as st
 
-from jaxreplay import Records, reference
+from jaxreplay import Params, Records, build_filter, reference
+from jaxreplay.filter.numerics import long_segments
 from jaxreplay.filter.numerics.polynomial import fit_quotients
 from jaxreplay.filter.numerics.scaled import exp, exp_minus
 from jaxreplay.filter.numerics.segment import (
@@ -19,6 +22,8 @@ from jaxreplay.filter.numerics.segment import (
     mean_of_two,
     short_mean,
 )
+from jaxreplay.filter.observation import likelihood
+from jaxreplay.filter.window import view
 from jaxreplay.records import CHUNK, LongestFirst
 
 SIGMA = 0.5
@@ -109,14 +114,35 @@ def test_the_list_has_every_segment_once_the_longest_first(lengths, n_sensors, s
     rows = [rng.integers(0, 4, (n, n_sensors)) for n in lengths]
     records = Records.from_sequences(rows, [np.zeros((n, 1)) for n in lengths])
     nodes, long = np.asarray(records.nodes), LongestFirst(*map(np.asarray, records.long))
-    listed = long.sensor < n_sensors
-    assert listed.sum() == n_sensors * len(rows) * (records.longest + 1)
-    k, i, place = (x[listed] for x in (long.sensor, long.record, long.place))
-    assert len(set(zip(k, i, place, strict=True))) == listed.sum()
-    for end in (0, 1):
-        np.testing.assert_array_equal(long.ends[end, listed], nodes[k, i, place + end])
-    spread = np.maximum(np.diff(np.asarray(records.span), axis=0)[0], 1e-9)
-    real = place <= np.array(lengths)[i]
-    share = np.where(real, np.abs(np.diff(long.ends[:, listed], axis=0)[0]) / spread[k], 0)
-    np.testing.assert_array_equal(share, np.sort(share)[::-1])
-    np.testing.assert_allclose(long.longest, share[::CHUNK], rtol=1e-6)
+    n_segments = len(rows) * (records.longest + 1)
+    assert long.record.shape[1] % CHUNK == 0
+    for k in range(n_sensors):
+        record, place, ends = long.record[k], long.place[k], long.ends[:, k]
+        i, at = record[:n_segments], place[:n_segments]
+        assert len(set(zip(i, at, strict=True))) == n_segments
+        for end in (0, 1):
+            np.testing.assert_array_equal(ends[end, :n_segments], nodes[k, i, at + end])
+        assert not ends[:, n_segments:].any()
+        apart = np.where(place <= np.array(lengths)[record], np.abs(np.diff(ends, axis=0)[0]), 0)
+        np.testing.assert_array_equal(apart, np.sort(apart)[::-1])
+        np.testing.assert_allclose(long.longest[k], apart[::CHUNK], rtol=1e-6)
+
+
+@pytest.mark.parametrize("start", [None, [0, 30, 200]])
+def test_long_segments_from_the_list_agree_with_all_computed_exactly(monkeypatch, start):
+    rng = np.random.default_rng(0)
+    steps = 0.02 * rng.normal(size=(3, 400, 9)) * np.where(rng.random((3, 400, 1)) < 0.1, 20, 1)
+    records = Records.from_sequences(list(steps.cumsum(axis=1)), [np.zeros((400, 1))] * 3)
+    params = Params(0.1, 0.05, jnp.linspace(0.05, 0.2, 9))
+    if start is not None:
+        belief = build_filter("own_tau", 96).init(records)
+        records = view(records, replace(belief, start=jnp.array(start, jnp.int32)))
+    anchor = records.nodes[:, 1, 50]
+    logs = []
+    for relative_cost in (0, 10**6):
+        monkeypatch.setattr(long_segments, "_LISTED", relative_cost)
+        logs.append(np.asarray(likelihood(records, params, anchor + 0.05, anchor)))
+    np.testing.assert_allclose(*logs, rtol=1e-6, atol=1e-5)
+    monkeypatch.setattr(long_segments, "_is_long", lambda length: length > np.inf)
+    without = np.asarray(likelihood(records, params, anchor + 0.05, anchor))
+    assert np.abs(without - logs[0]).max() > 1e-3

@@ -11,12 +11,14 @@ from jaxreplay.filter.numerics.stage import stage
 from jaxreplay.records import CHUNK, Records
 
 _CERTAIN = 0.99  # of the limit: what rounding may have put on its other side counts as long
+_LISTED = 9  # times that a segment from the list takes, compared with one among all segments
 
 
 def with_long_segments(records: Records, block: Block, means: Mean) -> Mean:
     """Replace the means along long segments.
 
-    As many chunks of the records' list are computed as contain a long segment of any sensor.
+    As many chunks of the records' list are computed as contain a long segment of any sensor; where
+    these are many, all segments are computed exactly instead, which then is faster.
 
     Args:
         records: N records.
@@ -26,32 +28,52 @@ def with_long_segments(records: Records, block: Block, means: Mean) -> Mean:
     Returns:
         The means.
     """
-    long, sensors = records.long, block.sensors
     group, n_segments = means.peak.shape
-    columns = records.nodes.shape[-1]
-    # The largest share of its span that a sensor's short segments may have. A missing sensor has
-    # no long segment.
-    width = jax.lax.dynamic_slice_in_dim(records.span[1] - records.span[0], block.first, group)
-    moves = (width > 0) & (sensors.inverse > 0)
-    limits = jnp.where(moves, LONG[width.dtype] / (width * sensors.inverse), jnp.inf)
-
-    def put(c: jax.Array, flat: Mean) -> Mean:
-        cut = partial(
-            jax.lax.dynamic_slice_in_dim, start_index=c * CHUNK, slice_size=CHUNK, axis=-1
-        )
-        sensor, record, place, ends = map(cut, long[1:-1])
-        first, second = ends
-        sensor -= block.first
-        its = Sensor(*(values.at[sensor].get(mode="clip") for values in sensors))
-        exact = stage(long_mean)(first, second, its)
-        column = place - long.start[record]
-        at = record * columns + column - block.start
-        stored = (sensor >= 0) & (sensor < group) & (column >= 0) & (column < columns - 1)
-        stored &= (at >= 0) & (at < n_segments)
-        stored &= length(first, second, its) > _CERTAIN * LONG[width.dtype]
-        at = jnp.where(stored, sensor * n_segments + at, group * n_segments)
-        return Mean(*(x.at[at].set(y, mode="drop") for x, y in zip(flat, exact, strict=True)))
-
-    chunks = jnp.sum(long.longest > _CERTAIN * jnp.min(limits))
-    flat = jax.lax.fori_loop(0, chunks, put, Mean(*(x.reshape(-1) for x in means)))
+    longest = jax.lax.dynamic_slice_in_dim(records.long.longest, block.first, group)
+    sensors = Sensor(*(x[:, None] for x in block.sensors))
+    # A missing sensor, whose inverse is 0, has no long segment.
+    chunks = jnp.max(jnp.sum(_is_long(longest * sensors.inverse), axis=1))
+    many = chunks * (CHUNK * _LISTED) > n_segments
+    # Two loops of which one is never entered: branches of a condition would copy the means.
+    means = jax.lax.fori_loop(0, many.astype(jnp.int32), partial(_exact_everywhere, block), means)
+    flat = Mean(*(x.reshape(-1) for x in means))
+    flat = jax.lax.fori_loop(0, jnp.where(many, 0, chunks), partial(_put, records, block), flat)
     return Mean(*(x.reshape(group, n_segments) for x in flat))
+
+
+def _is_long(length: jax.Array) -> jax.Array:
+    return length > _CERTAIN * LONG[length.dtype]
+
+
+def _put(records: Records, block: Block, c: jax.Array, flat: Mean) -> Mean:
+    """Replace the means, end to end, of those segments in chunk c that are in the block."""
+    long, group, n_segments = records.long, len(block.nodes), block.nodes.shape[1] - 1
+    columns = records.nodes.shape[-1]
+    record, place = (_cut(x, block.first, c, group) for x in long[1:3])
+    start, end = (_cut(x, block.first, c, group) for x in long.ends)
+    sensors = Sensor(*(x[:, None] for x in block.sensors))
+    exact = stage(long_mean)(start, end, sensors)
+    column = place - long.start[record]
+    at = record * columns + column - block.start
+    stored = (column >= 0) & (column < columns - 1) & (at >= 0) & (at < n_segments)
+    stored &= _is_long(length(start, end, sensors))
+    at = jnp.where(stored, jnp.arange(group)[:, None] * n_segments + at, group * n_segments)
+    return Mean(*(x.at[at].set(y, mode="drop") for x, y in zip(flat, exact, strict=True)))
+
+
+def _cut(listed: jax.Array, first: jax.Array | int, c: jax.Array, group: int) -> jax.Array:
+    return jax.lax.dynamic_slice(listed, (first, c * CHUNK), (group, CHUNK))
+
+
+def _exact_everywhere(block: Block, k: jax.Array, means: Mean) -> Mean:
+    """Replace the means along all long segments."""
+    # Tied to the loop's counter, or XLA would compute this before the loop, entered or not.
+    z, _ = jax.lax.optimization_barrier((block.sensors.z, k))
+    sensors = Sensor(*(x[:, None] for x in block.sensors._replace(z=z)))
+    exact, is_long = stage(_exact)(block.nodes, sensors)
+    return Mean(*(jnp.where(is_long, x, y) for x, y in zip(exact, means, strict=True)))
+
+
+def _exact(nodes: jax.Array, sensors: Sensor) -> tuple[Mean, jax.Array]:
+    start, end = nodes[:, :-1], nodes[:, 1:]
+    return long_mean(start, end, sensors), _is_long(length(start, end, sensors))
