@@ -183,10 +183,14 @@ def mountain_car(controllers: dict[str, MakeController]) -> list[dict]:
             sent.append([1.0 if z[1] >= 0 else -1.0])
             z, _, up, *_ = car.step(np.array(sent[-1], np.float32))
             seen.append(z)
-        sensors.append(np.array(seen + BEYOND * [[z[0], 0.0]]))  # at rest
-        commands.append(np.array(sent + BEYOND * [[0.0]]))
+        sensors.append(np.array(seen))
+        commands.append(np.array(sent))
     records = Records.from_sequences(sensors, commands, ["position", "velocity"], ["force"])
-    each = each_run(controllers, records, 30, lambda: gymnasium.make("MountainCarContinuous-v0"))
+
+    def make() -> gymnasium.Env:
+        return gymnasium.make("MountainCarContinuous-v0")
+
+    each = each_run(controllers, records, 30, make, last_steps=None)  # they end at the flag
     return [result | {"success": result["ending"] == "terminated"} for result in each]
 
 
@@ -232,12 +236,12 @@ def cart_pole(controllers: dict[str, MakeController]) -> list[dict]:
     ]
 
 
-def each_run(controllers, records: Records, n: int, make: Callable) -> Iterator[dict]:
+def each_run(controllers, records: Records, n: int, make: Callable, **more) -> Iterator[dict]:
     """Yield how each of n runs of each controller ended."""
     env = SyncVectorEnv([make] * SLOTS, autoreset_mode=AutoresetMode.DISABLED)
     seeds = [100 + k for k in range(n)]
     for name, controller in controllers.items():
-        done = run(records, env, seeds, controller)
+        done = run(records, env, seeds, controller, **more)
         for seed, ending, steps in zip(seeds, done.ending, done.steps, strict=True):
             yield {"controller": name, "seed": seed, "ending": str(ending), "steps": int(steps)}
 

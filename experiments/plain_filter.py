@@ -14,6 +14,7 @@ from jax.scipy.special import erf
 from jax.scipy.stats import norm
 
 from jaxreplay import Params, Records
+from jaxreplay.filter.options import Options
 from jaxreplay.filter.steps import LAST_STEPS
 
 
@@ -132,10 +133,10 @@ class PlainTracker:
         dropped: `[B]` −∞, as there are no windows.
     """
 
-    def __init__(self, records: Records, params: Params, jump: str):
+    def __init__(self, records: Records, params: Params, options: Options):
         """Begin B replays."""
         n = len(params.theta_i)
-        self.records, self.jump = records, jump
+        self.records, self.jump = records, options.jump
         self.command = np.zeros((n, records.n_commands))
         self.widened, self.dropped = np.zeros(n, int), np.full(n, -np.inf)
         self.belief = jnp.zeros((n, records.n_records, records.longest))
@@ -149,17 +150,17 @@ class PlainTracker:
         self.belief = jnp.where(which[:, None, None], begun, self.belief)
         self.command[which] = np.asarray(command)[which]
 
-    def observe(self, z: np.ndarray, which: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def observe(self, z: np.ndarray, which: np.ndarray) -> tuple[np.ndarray, ...]:
         """Update beliefs with observations `[B, n_s]`, and predict.
 
         Returns:
-            log p(Z_t | Z_{1:t−1}) and p(τ in the last 10 samples), each `[B]`.
+            log p(Z_t | Z_{1:t−1}), p(τ in the last 10 samples), and NaN for a distance, each `[B]`.
         """
         z = self.records.centre(z)
         belief, log_evidence, ended = _updated(self.records, self.params, self.belief, z)
         self.belief, command = _predicted(self.records, self.params, belief, self.jump)
         self.command[which] = np.asarray(command)[which]
-        return np.asarray(log_evidence), np.asarray(ended)
+        return np.asarray(log_evidence), np.asarray(ended), np.full(len(which), np.nan)
 
 
 @partial(jax.jit, static_argnames="jump")

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from jaxreplay.pictures import watch as watch
     from jaxreplay.plane.params import PlaneParams as PlaneParams
     from jaxreplay.recordings.inspect import inspect as inspect
+    from jaxreplay.recordings.read import read as read
     from jaxreplay.recordings.tune import tune as tune
     from jaxreplay.records import Records as Records
     from jaxreplay.study.config import StudyConfig as StudyConfig
@@ -47,6 +48,7 @@ _HOME = {  # of each public name; loaded on first use, as JAX alone takes half a
     "plot": "jaxreplay.pictures",
     "plot_map": "jaxreplay.pictures",
     "plot_records": "jaxreplay.pictures",
+    "read": "jaxreplay.recordings.read",
     "replay": "jaxreplay.loop.replay",
     "run_study": "jaxreplay.study.run",
     "tune": "jaxreplay.recordings.tune",

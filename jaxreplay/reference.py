@@ -10,13 +10,18 @@ Everything is computed in logarithms, so that no probability underflows.
   Row t of a record is the command v_t and the observation ζ_t made after it. Records and samples
   are counted from 0, as equation 5 does (§ 2.1 counts them from 1).
 - a `belief` is an (N, L) array of log p(I = i, τ = j), L = max L_i, with −∞ past a record's end.
-- `z` is an (n_s,) observation Z_t; NaN marks a missing sensor.
+- `z` is an (n_s,) observation Z_t; NaN marks a missing sensor. NaN in a record marks a sample that
+  was not measured.
 
 The paper leaves some points open. They are decided here, each where it arises:
 
 - **Equation 2.** N(t, σ²) is read as the normal density of Z_t − t. The first and the last sample
   of a record touch only one segment, which carries full weight. A segment of length zero is the
   point Gaussian, its limit; so is a record of one sample.
+- **A sample that was not measured** is taken to lie on the straight line between the measured ones
+  beside it, as equation 2 takes all that lies between two samples; before the first and after the
+  last measured one, at that one (`filled`). So a state keeps all factors of the product, and states
+  with and without a measurement stay comparable.
 - **Equation 3** with one record is the identity: there is no other record to jump to.
 - **Equations 4 and 6.** The step along τ is taken in the record that is departed from; its last
   sample absorbs what would pass it. Then comes the jump. Where a jump keeps τ (`same_tau`, below),
@@ -99,6 +104,19 @@ def segment_mean(z: ArrayLike, start: ArrayLike, end: ArrayLike, sigma: float) -
     return np.where(short, short_mean, long_mean) - np.log(sigma)
 
 
+def filled(record: np.ndarray) -> np.ndarray:
+    """Return a record (L, n_s) with straight lines in the place of samples not measured (NaN).
+
+    Each sensor needs at least one measured sample.
+    """
+    rows, measured = np.arange(len(record)), ~np.isnan(record)
+    columns = [
+        np.interp(rows, rows[there], values[there])
+        for values, there in zip(record.T, measured.T, strict=True)
+    ]
+    return np.column_stack(columns)
+
+
 def likelihood(sensors: Sequences, params: Params, z: np.ndarray) -> np.ndarray:
     """Compute equation 2: log p(Z_t | I_t = i, τ_t = j) for all i and j, an (N, L) array.
 
@@ -106,6 +124,7 @@ def likelihood(sensors: Sequences, params: Params, z: np.ndarray) -> np.ndarray:
 
     A missing sensor (NaN) contributes no factor. Entries past a record's end are −∞.
     """
+    sensors = [filled(record) for record in sensors]
     logs = np.full(_shape(sensors), -np.inf)
     for i, record in enumerate(sensors):
         logs[i, : len(record)] = 0.0
@@ -151,10 +170,16 @@ def time_transition(sensors: Sequences, params: Params, mass: np.ndarray) -> np.
     return moved
 
 
-def init(sensors: Sequences) -> np.ndarray:
-    """Return the belief of equation 5: p = 1/N at each record's first sample, else 0."""
+def init(sensors: Sequences, start: str = "first") -> np.ndarray:
+    """Return the belief of equation 5: p = 1/N at each record's first sample, else 0.
+
+    A robot that may be anywhere (`start="anywhere"`) starts with p = 1 / (N L_i) at each sample of
+    record i instead.
+    """
     belief = np.full(_shape(sensors), -np.inf)
-    belief[:, 0] = -np.log(len(sensors))
+    for i, record in enumerate(sensors):
+        samples = {"first": 1, "anywhere": len(record)}[start]
+        belief[i, :samples] = -np.log(len(sensors) * samples)
     return belief
 
 
@@ -209,10 +234,10 @@ def update(
     return (joint - best) - log_sum, float(best + log_sum)
 
 
-def end_probability(sensors: Sequences, belief: np.ndarray) -> float:
+def end_probability(sensors: Sequences, belief: np.ndarray, last_steps: int = LAST_STEPS) -> float:
     """Return p(τ in the last 10 time steps) of § 2.2.5; above 0.9 the task is complete."""
     ends = [
-        np.exp(belief[i, max(0, len(record) - LAST_STEPS) : len(record)]).sum()
+        np.exp(belief[i, max(0, len(record) - last_steps) : len(record)]).sum()
         for i, record in enumerate(sensors)
     ]
     return float(sum(ends))

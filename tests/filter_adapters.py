@@ -106,7 +106,7 @@ class InJax:
     def _scaled(self, p):
         return _scaled(jnp.asarray(p, self.precision))
 
-    def _belief(self, case, p, jump="same_tau"):
+    def _belief(self, case, p, jump="own_tau"):
         return dataclasses.replace(build_filter(jump).init(self._records(case)), p=self._scaled(p))
 
 

@@ -15,11 +15,14 @@ LENGTHS = (100, 110, 95, 105, 98, 102)
 
 
 def sequences(lengths=LENGTHS, seed=0, scale=1.0):
-    """A path there and back, noise, and something that comes into range and goes again."""
+    """A path there and back, noise, and something that comes into range and goes again.
+
+    The last 12 rows are at rest, if there are more than 20.
+    """
     rng = np.random.default_rng(seed)
     sensors, commands = [], []
     for n in lengths:
-        t = np.arange(n) / n
+        t = np.minimum(np.arange(n) / max(n - 12, 9), 1)
         seen = np.where(np.abs(t - 0.5) < 0.2 + 0.05 * rng.random(), 0.6 + rng.random(n) / 20, 0)
         z = np.stack([np.sin(3 * t + rng.random()), rng.normal(size=n), seen], 1)
         sensors.append(scale * (z + 0.01 * rng.normal(size=(n, 3)) * [1, 1, 0]))

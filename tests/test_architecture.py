@@ -152,6 +152,8 @@ def call_each(folder):
     with pytest.raises(FileExistsError):
         called["run_study"] = jr.run_study(config, file)  # not a folder
     called["inspect"] = jr.inspect(records)
+    records.save(folder / "records.npz")
+    called["read"] = jr.read(folder / "records.npz")
     with pytest.raises(ValueError, match="no command ever changes"):
         called["tune"] = jr.tune(seen)
     called["plot"] = jr.plot(folder / "study")

@@ -12,6 +12,7 @@ import xarray as xr
 from scipy.stats import spearmanr
 
 from jaxreplay import Params, Records
+from jaxreplay.filter.options import Options
 from jaxreplay.loop import tracker
 from jaxreplay.plane.params import PlaneParams
 from jaxreplay.plane.positions import DEMONSTRATED
@@ -29,6 +30,7 @@ import loop
 import pieces
 import plain_filter
 import stalls
+import starts
 import tuning
 from filter_helpers import both_readings, run_reference
 
@@ -161,6 +163,17 @@ def test_causes_are_run_once_for_what_is_asked(tmp_path, monkeypatch, capsys):
 GRIPPER = (3, 1), (3, -1), (4, 1), (2, 1)  # column of the commands, and up or down
 
 
+def test_a_start_anywhere_finds_what_is_unlike_the_rest():
+    way = np.linspace(0, 1, 80)[:, None]
+    sensors = [np.hstack([way, way**2]) + 0.001 * k for k in range(3)]
+    records = Records.from_sequences(sensors, [way - 0.5] * 3, period=0.1)
+    errors = starts.errors_of(records, 1, 3)
+    assert set(errors) == set(starts.WAYS)
+    assert errors["anywhere"][1] < 0.05 < 0.2 < errors["first"][0]
+    assert errors["from the beginning"].max() < 0.05
+    assert errors["nearest row"].max() < 0.02
+
+
 @both_readings
 def test_the_plain_filter_is_the_filter_until_it_underflows(jump):
     rng = np.random.default_rng(5)
@@ -171,13 +184,13 @@ def test_the_plain_filter_is_the_filter_until_it_underflows(jump):
     sequences, values = (sensors, commands), (0.1, 0.05, np.array([1.0, 0.5]))
     _, wanted, evidence, ended = run_reference(sequences, zs, *values, jump)
     batch = Params(*(np.array([value]) for value in values))
-    plain = plain_filter.PlainTracker(Records.from_sequences(*sequences), batch, jump)
+    plain = plain_filter.PlainTracker(Records.from_sequences(*sequences), batch, Options(jump))
     for z, u, e, p in zip(zs, wanted, evidence, ended, strict=True):
         np.testing.assert_allclose(plain.command[0], u, atol=1e-3)
-        gained, at_end = plain.observe(z[None], np.array([True]))
+        gained, at_end, _ = plain.observe(z[None], np.array([True]))
         assert gained[0] == pytest.approx(e, abs=1e-2)
         assert at_end[0] == pytest.approx(p, abs=1e-3)
-    gained, _ = plain.observe(np.full((1, 2), 1e3), np.array([True]))
+    gained, *_ = plain.observe(np.full((1, 2), 1e3), np.array([True]))
     assert gained[0] == -np.inf  # and goes on
     assert np.isfinite(plain.command).all()
 

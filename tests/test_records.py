@@ -39,8 +39,8 @@ def changed(records, **parts):
 
 
 def test_sequences_gives_back_what_from_sequences_took(records):
-    for given, back in zip(random_sequences(0, LENGTHS), records.sequences(), strict=True):
-        for a, b in zip(given, back, strict=True):
+    for taken, back in zip(random_sequences(0, LENGTHS), records.sequences(), strict=True):
+        for a, b in zip(taken, back, strict=True):
             np.testing.assert_array_equal(a, b)
     assert_same(records, Records.from_sequences(*records.sequences(), **NAMES))
 
@@ -184,7 +184,7 @@ def test_damaged_numbers_are_an_error_whichever_byte_changed(tmp_path, records):
         ({"lengths": np.array([5, 3, 2])}, "does not contain records"),
         ({"lengths": np.array([5, 3, -2, 5])}, "does not contain records"),
         ({"sensors": np.zeros(11)}, ": record 0: sensors must have shape"),
-        ({"sensors": np.full((11, 2), np.nan)}, r": record 0: sensors\[0, 0\] is nan"),
+        ({"sensors": np.full((11, 2), np.nan)}, r": record 0: x is NaN in all"),
         ({"commands": np.zeros((10, 2))}, "does not contain records"),
         ({"sensor_names": np.array("x")}, "does not contain records"),
         ({"sensor_names": np.array(["x"])}, ": 2 distinct sensor names are needed"),
@@ -222,7 +222,6 @@ def with_value(value):
 @pytest.mark.parametrize(
     ("second", "message"),
     [
-        (with_value(np.nan), r"record 1: {}\[2, 1\] is nan, not a finite float32"),
         (with_value(-np.inf), r"record 1: {}\[2, 1\] is -inf, not a finite float32"),
         (with_value(1e39), r"record 1: {}\[2, 1\] is 1e\+39, not a finite float32"),
         (np.ones(3), r"record 1: {} must have shape .*; got \(3,\)"),

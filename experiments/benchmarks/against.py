@@ -116,9 +116,13 @@ def measure(folder: Path, jump: str) -> dict[str, float]:
         live = (time.process_time() - began) / min(400, len(replays[0])) if timed else 0.0
 
     n = len(replays)
+    try:
+        how = import_module("jaxreplay.filter.options").Options(jump)
+    except ModuleNotFoundError:
+        how = jump
     params = jr.Params(saved["theta_i"], np.full(n, THETA_TAU), np.tile(sigma, (n, 1)))
     for timed in (False, True):  # the first compiles
-        tracked = tracker(records, params, jump)
+        tracked = tracker(records, params, how)
         step = getattr(tracked, "observe", None) or tracked.advance
         began = time.perf_counter()
         for t in range(saved["steps"].max()):

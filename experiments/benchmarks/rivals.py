@@ -15,6 +15,7 @@ import numpy_rival
 from work import SIGMA, THETA_I, THETA_TAU, Rival, Work, first_prediction
 
 from jaxreplay import Params, Records, build_filter, reference
+from jaxreplay.filter.options import Options
 from jaxreplay.loop.tracker import LANES, Tracker
 
 try:
@@ -81,14 +82,14 @@ class Share:
         self._records, self._replays, self._size = records_of(work), replays, min(LANES, replays)
         sigma = np.full((self._size, self._records.n_sensors), SIGMA)
         theta_i, theta_tau = np.full(self._size, THETA_I), np.full(self._size, THETA_TAU)
-        self._params, self._jump = Params(theta_i, theta_tau, sigma), work.jump
+        self._params, self._options = Params(theta_i, theta_tau, sigma), Options(work.jump)
         self._windows = () if window is None else (window,)
         self._posterior = build_filter(work.jump, window).posterior
 
     def begin(self):
         """Begin all replays."""
         self._trackers = [
-            Tracker(self._records, self._params, self._jump, self._windows)
+            Tracker(self._records, self._params, self._options, self._windows)
             for _ in range(0, self._replays, self._size)
         ]
         for tracker in self._trackers:

@@ -10,6 +10,8 @@ from jaxreplay.errors import ConfigError
 if TYPE_CHECKING:
     import xarray as xr
 
+    from jaxreplay.records import Records
+
 Commands = argparse._SubParsersAction  # argparse has no public name for it
 
 
@@ -45,3 +47,74 @@ def opened(folder: Path) -> "xr.Dataset":
     if missing:
         print(f"{folder}: {missing} of {dataset.outcome.size} runs are missing", file=sys.stderr)
     return dataset
+
+
+def add_recordings(parser: argparse.ArgumentParser) -> None:
+    """Add the files of recordings, and what to take of them: the arguments of `jaxreplay.read`."""
+    parser.add_argument(
+        "records",
+        type=Path,
+        nargs="+",
+        metavar="RECORDS",
+        help="an .npz file of Records.save; .csv, .parquet (LeRobot), or .hdf5 or .h5 files "
+        "(robomimic, Minari); a folder of them, or of a LeRobot or Minari dataset",
+    )
+    group = parser.add_argument_group("which columns of the files, and how their rows are read")
+    group.add_argument(
+        "--sensors", type=_listed, metavar="NAMES", help="such as x,y (needed for .csv)"
+    )
+    group.add_argument("--commands", type=_listed, metavar="NAMES", help="such as u (likewise)")
+    group.add_argument(
+        "--angles",
+        type=_listed,
+        default=(),
+        metavar="NAMES",
+        help="sensors in rad that become two each: their cosine and sine",
+    )
+    group.add_argument(
+        "--episode", metavar="COLUMN", help="its value tells the episodes in a file apart"
+    )
+    group.add_argument("--time", metavar="COLUMN", help="the time in s")
+    group.add_argument(
+        "--period",
+        type=float,
+        metavar="SECONDS",
+        help="time between rows; episodes in files with times are resampled to it",
+    )
+    group.add_argument(
+        "--observed",
+        choices=("before", "after"),
+        help="whether a row's observation is made before or after its command (default: after for "
+        ".npz and .csv, before for the others)",
+    )
+
+
+def recordings(options: argparse.Namespace) -> "Records":
+    """Return the records in the files given to a command; see :func:`add_recordings`."""
+    from jaxreplay.recordings.read import read
+
+    return read(
+        options.records,
+        options.sensors,
+        options.commands,
+        angles=options.angles,
+        period=options.period,
+        episode=options.episode,
+        time=options.time,
+        observed=options.observed,
+    )
+
+
+def first_of(options: argparse.Namespace) -> Path:
+    """Return the first of the files given to a command, after which its output is named."""
+    path = options.records[0]
+    if any(letter in str(path) for letter in "*?[") and not path.exists():
+        from jaxreplay.recordings.read import files_of
+
+        return files_of(path)[0]
+    return path if path.name else path.resolve()
+
+
+def _listed(text: str) -> list[str]:
+    """Read names that commas separate."""
+    return [name.strip() for name in text.split(",")]

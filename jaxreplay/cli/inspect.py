@@ -1,9 +1,10 @@
 """`jaxreplay inspect RECORDS`: summarise recordings, and name what is unusual in them."""
 
 import argparse
+import os
 from pathlib import Path
 
-from jaxreplay.cli.arguments import Commands
+from jaxreplay.cli.arguments import Commands, add_recordings, first_of, recordings
 from jaxreplay.errors import ConfigError
 
 
@@ -12,32 +13,50 @@ def add_to(commands: Commands) -> None:
     parser = commands.add_parser(
         "inspect",
         help="summarise recordings, and name what is unusual in them",
-        description="Summarise recordings in a table and a figure, and name what is unusual.",
+        description="Summarise recordings in a table and a figure, filter each record with the "
+        "others, and name what is unusual.",
     )
-    parser.add_argument(
-        "records", type=Path, metavar="RECORDS", help="an .npz file of Records.save"
-    )
+    add_recordings(parser)
     parser.add_argument(
         "--out",
         type=Path,
         metavar="FILE",
-        help="the figure (default: RECORDS with the suffix .png)",
+        help="the figure (default: the first RECORDS with the suffix .png)",
+    )
+    parser.add_argument(
+        "--quick",
+        action="store_true",
+        help="do not filter each record with the others, which takes some ten seconds and more",
     )
     parser.set_defaults(action=_inspect)
 
 
 def _inspect(options: argparse.Namespace) -> None:
+    # XLA logs as an error that compiling takes long, which is usual here. It reads the level once.
+    os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
+    from tqdm import tqdm
+
     from jaxreplay.figures.inspection import FORMATS, inspection_figure
+    from jaxreplay.machine import keep_compiled
     from jaxreplay.recordings.inspect import inspect
-    from jaxreplay.recordings.read import read
     from jaxreplay.recordings.report import report
 
-    path = options.out or options.records.with_suffix(".png")
-    if path.suffix[1:] not in FORMATS or path == options.records:
+    path = options.out or first_of(options).with_suffix(".png")
+    if path.suffix[1:] not in FORMATS or path in options.records:
         raise ConfigError(f"--out {path}: its name must end in one of .{', .'.join(FORMATS)}")
-    records = read(options.records)
+    records = recordings(options)
     path.parent.mkdir(parents=True, exist_ok=True)
-    inspection = inspect(records)
+    if options.quick:
+        inspection = inspect(records)
+    else:
+        keep_compiled()
+        with tqdm(unit="row", desc="filtering", leave=False, disable=None) as bar:
+
+            def progress(done: int, total: int) -> None:
+                bar.total = total
+                bar.update(done - bar.n)
+
+            inspection = inspect(records, scores=True, progress=progress)
     print(report(inspection))
     inspection_figure(records, inspection).savefig(path)
     print(path)

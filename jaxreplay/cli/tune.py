@@ -5,7 +5,7 @@ import json
 import os
 from pathlib import Path
 
-from jaxreplay.cli.arguments import Commands, count
+from jaxreplay.cli.arguments import Commands, add_recordings, count, first_of, recordings
 from jaxreplay.errors import ConfigError
 
 
@@ -19,7 +19,7 @@ def add_to(commands: Commands) -> None:
         "parameters after each step, with the scores after some. The file that it saves is read by "
         "jaxreplay.Params.load.",
     )
-    parser.add_argument("records", type=Path, metavar="RECORDS", help="an .npz file of records")
+    add_recordings(parser)
     parser.add_argument(
         "--jump",
         choices=("same_tau", "own_tau"),
@@ -42,7 +42,7 @@ def add_to(commands: Commands) -> None:
         type=Path,
         metavar="FILE",
         help="a .toml; the figure is saved beside it as .png (default: RECORDS_JUMP.toml beside "
-        "RECORDS)",
+        "the first RECORDS)",
     )
     parser.set_defaults(action=_tune)
 
@@ -54,14 +54,14 @@ def _tune(options: argparse.Namespace) -> None:
 
     from jaxreplay.figures.tuning import tuning_figure
     from jaxreplay.machine import keep_compiled
-    from jaxreplay.recordings.read import read
     from jaxreplay.recordings.tune import save, summary, tune
 
     keep_compiled()
-    path = options.out or options.records.with_name(f"{options.records.stem}_{options.jump}.toml")
+    source = first_of(options)
+    path = options.out or source.with_name(f"{source.stem}_{options.jump}.toml")
     if path.suffix != ".toml" or path.is_dir():
         raise ConfigError(f"--out {path}: give a file whose name ends in .toml")
-    records = read(options.records)
+    records = recordings(options)
     path.parent.mkdir(parents=True, exist_ok=True)
     with tqdm(unit="step", disable=None) as bar:
 
@@ -79,9 +79,9 @@ def _tune(options: argparse.Namespace) -> None:
                 progress=progress,
             )
         except ValueError as error:
-            raise ConfigError(f"{options.records}: {error}") from None
+            raise ConfigError(f"{source}: {error}") from None
     print(summary(records, tuned))
-    save(records, tuned, options.records, path)
+    save(records, tuned, source, path)
     tuning_figure(records, tuned).savefig(path.with_suffix(".png"))
     print(f"{path}: the parameters; {path.with_suffix('.png')}: the figure")
     name = json.dumps(str(path), ensure_ascii=False)

@@ -42,7 +42,7 @@ def inspection_figure(records: Records, inspection: Inspection) -> Picture:
         records: N records.
         inspection: of these records.
     """
-    rows, (lengths, period, columns, findings) = table_of(records), inspection
+    rows, (lengths, period, columns, findings, _) = table_of(records), inspection
     named = list(dict.fromkeys(i for finding in findings for i in finding.records))
     marks = dict(zip(named, MARKS, strict=False))
     shades = matplotlib.colormaps["viridis"](np.linspace(0, 0.9, len(rows)))

@@ -20,7 +20,9 @@ from typing import NamedTuple
 
 import jax
 
-from jaxreplay.filter.belief import DEFAULT_JUMP, READINGS, Belief, Jump
+from jaxreplay.filter.belief import DEFAULT_JUMP, Belief, Jump
+from jaxreplay.filter.belief import READINGS as READINGS
+from jaxreplay.filter.options import options_of
 from jaxreplay.filter.steps import (
     command,
     end_probability,
@@ -37,12 +39,12 @@ from jaxreplay.records import Records
 class Filter(NamedTuple):
     """The jitted steps that :func:`build_filter` returns; see :mod:`jaxreplay.filter.steps`."""
 
-    init: Callable[[Records], Belief]
+    init: Callable[..., Belief]
     predict: Callable[[Records, Params, Belief], Belief]
     command: Callable[[Records, Belief], jax.Array]
     update: Callable[[Records, Params, Belief, jax.Array], tuple[Belief, jax.Array]]
     posterior: Callable[[Records, Belief], jax.Array]
-    end_probability: Callable[[Records, Belief], jax.Array]
+    end_probability: Callable[..., jax.Array]
 
 
 @cache
@@ -57,22 +59,36 @@ def build_filter(jump: Jump = DEFAULT_JUMP, window: int | None = None) -> Filter
             how probable the most probable lost hypothesis was. None stores all samples.
 
     Raises:
-        ValueError: `jump` is not one of `READINGS`, or the window is too narrow.
+        ValueError: `jump` is not one of `READINGS`, or the window is too narrow. `predict`
+            and `update` raise it for a belief of another filter.
     """
-    if jump not in READINGS:
-        raise ValueError(f"jump must be one of {', '.join(READINGS)}; got {jump!r}")
+    options_of(jump)
     if window is not None and window < NARROWEST:
         raise ValueError(f"window must be None or at least {NARROWEST} samples; got {window}")
+    jitted_init = jax.jit(partial(init, jump=jump, window=window), static_argnames="start")
     jitted = jax.jit(update)
 
+    def init_anywhere_or_first(records, start="first"):
+        options_of(jump, start)
+        return jitted_init(records.centred(), start=start)
+
     def update_raw(records, params, belief, z):
+        _check_belief(records, belief, jump, window)
         records.check_one_each(z=z, sigma=params.sigma)  # here, where sensors have names
         # Centred here: `jit` would round a NumPy array before its offset is subtracted.
-        return jitted(records.centred(), params, belief, records.centre(z))
+        z = records.centre(z)
+        records.check_finite("z", z)
+        return jitted(records.centred(), params, belief, z)
+
+    jitted_predict = _nameless(predict)
+
+    def predict_own(records, params, belief):
+        _check_belief(records, belief, jump, window)
+        return jitted_predict(records, params, belief)
 
     return Filter(
-        init=_nameless(partial(init, jump=jump, window=window)),
-        predict=_nameless(predict),
+        init=init_anywhere_or_first,
+        predict=predict_own,
         command=_nameless(command),
         update=update_raw,
         posterior=_nameless(posterior),
@@ -85,7 +101,18 @@ def _nameless(step: Callable) -> Callable:
     jitted = jax.jit(step)
 
     @wraps(step)
-    def call(records, *args):
-        return jitted(records.centred(), *args)
+    def call(records, *args, **more):
+        return jitted(records.centred(), *args, **more)
 
     return call
+
+
+def _check_belief(records: Records, belief: Belief, jump: Jump, window: int | None) -> None:
+    """Check that a belief is of this filter: of its reading of a jump and of its window."""
+    if window is not None and window >= records.longest:
+        window = None
+    if (belief.jump, belief.window) != (jump, window):
+        raise ValueError(
+            f"the belief is of build_filter({belief.jump!r}, {belief.window}); this filter is "
+            f"build_filter({jump!r}, {window})"
+        )

@@ -38,14 +38,17 @@ def log_evidence(
         A scalar.
 
     Raises:
-        ValueError: the observations are not rows of n_s values, or σ does not have n_s values.
+        ValueError: the observations are not rows of n_s values, or one is infinite, or σ does not
+            have n_s values.
     """
     if jnp.ndim(observations) != 2 or jnp.shape(observations)[1] != records.n_sensors:
         raise ValueError(
             f"observations have shape {jnp.shape(observations)}; (T, {records.n_sensors}) is "
             f"needed, a column for each of {', '.join(records.sensor_names)}"
         )
-    return _log_evidence(records.centred(), params, records.centre(observations), jump)
+    observations = records.centre(observations)
+    records.check_finite("observations", observations)
+    return _log_evidence(records.centred(), params, observations, jump)
 
 
 @partial(jax.jit, static_argnames="jump")

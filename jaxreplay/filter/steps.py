@@ -14,29 +14,43 @@ from jaxreplay.filter.belief import DEFAULT_JUMP, NOTHING_DROPPED, Belief, Jump
 from jaxreplay.filter.numerics.anchor import anchor_point
 from jaxreplay.filter.numerics.scaled import exp, scaled
 from jaxreplay.filter.observation import likelihood, log_density
+from jaxreplay.filter.options import LAST_STEPS, Start
 from jaxreplay.filter.transition import predict_own_tau, predict_same_tau
 from jaxreplay.filter.window import follow, resize, view
 from jaxreplay.params import Params
 from jaxreplay.records import Records
 
-LAST_STEPS = 10  # § 2.2.5
-
 _PREDICTIONS = {"same_tau": predict_same_tau, "own_tau": predict_own_tau}
 
 
-def init(records: Records, jump: Jump = DEFAULT_JUMP, window: int | None = None) -> Belief:
+def init(
+    records: Records,
+    jump: Jump = DEFAULT_JUMP,
+    window: int | None = None,
+    start: Start = "first",
+) -> Belief:
     """Return the belief of equation 5: p = 1/N at each record's first sample, else 0.
+
+    A robot that may be anywhere starts with p = 1 / (N L_i) at each sample of record i instead.
 
     Args:
         records: N records.
         jump: the reading of a jump, `"same_tau"` or `"own_tau"`.
         window: samples of each record to store; None stores all.
+        start: `"first"` (equation 5) or `"anywhere"`.
+
+    Raises:
+        ValueError: a start anywhere is to be stored in a window.
     """
     if window is not None and window >= records.longest:
         window = None
-    p = jnp.zeros((records.n_records, window or records.longest), records.nodes.dtype)
+    if start == "anywhere" and window is not None:
+        raise ValueError(f"a start anywhere needs window=None, all samples; got {window}")
+    column = jnp.arange(window or records.longest)[None]
+    samples = records.lengths if start == "anywhere" else jnp.ones_like(records.lengths)
+    p = jnp.where(column < samples[:, None], 1 / (records.n_records * samples[:, None]), 0.0)
     return Belief(
-        p=scaled(p.at[:, 0].set(1 / records.n_records)),
+        p=scaled(p.astype(records.nodes.dtype)),
         start=jnp.zeros(() if jump == "same_tau" else records.n_records, jnp.int32),
         dropped=jnp.asarray(NOTHING_DROPPED, jnp.int32),
         jump=jump,
@@ -110,11 +124,13 @@ def posterior(records: Records, belief: Belief) -> jax.Array:
     return resize(records, belief, None).p.value()
 
 
-def end_probability(records: Records, belief: Belief) -> jax.Array:
+def end_probability(
+    records: Records, belief: Belief, last_steps: int | jax.Array = LAST_STEPS
+) -> jax.Array:
     """Return p(τ in the last 10 time steps) of § 2.2.5; above 0.9 the task is complete.
 
-    The last 10 samples of each record count; a shorter record counts whole.
+    The last samples of each record count, 10 or as many as given; a shorter record counts whole.
     """
     stored = view(records, belief)
-    near_end = jnp.arange(stored.longest)[None] >= stored.lengths[:, None] - LAST_STEPS
+    near_end = jnp.arange(stored.longest)[None] >= stored.lengths[:, None] - last_steps
     return jnp.sum(jnp.where(near_end, belief.p.value(), 0.0))

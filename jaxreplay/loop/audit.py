@@ -5,7 +5,8 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
-from jaxreplay.filter.belief import Belief, Jump
+from jaxreplay.filter.belief import Belief
+from jaxreplay.filter.options import Options
 from jaxreplay.loop.tracker import LANES, Tracker
 from jaxreplay.params import Params
 from jaxreplay.records import Records
@@ -23,18 +24,18 @@ class Audit(NamedTuple):
     command: float
 
 
-def audit(records: Records, params: Params, jump: Jump, observations: np.ndarray) -> Audit:
+def audit(records: Records, params: Params, options: Options, observations: np.ndarray) -> Audit:
     """Return the largest differences that windows make over one replay's observations.
 
     Args:
         records: N records.
         params: one set of parameters.
-        jump: `"same_tau"` or `"own_tau"`.
+        options: those of the replay.
         observations: `[T, n_s]` Z_1 … Z_T of a replay, in the sensors' units.
     """
     # As many lanes as a study has, all but one idle, so that the same compiled programs serve.
     batch = jax.tree.map(lambda x: np.stack([x] * LANES), params)
-    windowed, complete = Tracker(records, batch, jump), Tracker(records, batch, jump, windows=())
+    windowed, complete = (Tracker(records, batch, options, windows) for windows in (None, ()))
     commands = np.concatenate(records.sequences()[1])
     span = np.ptp(commands, axis=0)
     span[span == 0] = 1

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple, Protocol
 import jax
 import numpy as np
 
-from jaxreplay.filter.belief import Jump
+from jaxreplay.filter.options import Options
 from jaxreplay.loop.tracker import LANES, Tracker
 from jaxreplay.machine import cores
 from jaxreplay.params import Params
@@ -22,19 +22,21 @@ class Observed(NamedTuple):
         log_evidence: `[B]` log p(Z_t | Z_{1:t−1}); NaN: it has none.
         widened: `[B]` as in :class:`jaxreplay.loop.tracker.Tracker`.
         dropped: `[B]` as in :class:`jaxreplay.loop.tracker.Tracker`.
+        distance: `[B]` in σ, from the observation to the state followed; NaN: it follows none.
     """
 
     end_probability: np.ndarray | float
     log_evidence: np.ndarray | float = np.nan
     widened: np.ndarray | int = 0
     dropped: np.ndarray | float = -np.inf
+    distance: np.ndarray | float = np.nan
 
 
 class Controller(Protocol):
     """Controls B replays that advance together, each in a slot.
 
-    It is made by `controller(records, params, jump)`, see :data:`MakeController`. Results of a slot
-    must not depend on the other slots.
+    It is made by `controller(records, params, options)`, see :data:`MakeController`. Results of a
+    slot must not depend on the other slots.
     """
 
     @property
@@ -54,8 +56,8 @@ class Controller(Protocol):
         ...
 
 
-# Called as (records, `[B]`-batched params, jump).
-MakeController = Callable[[Records, Params, Jump], Controller]
+# Called as (records, `[B]`-batched params, options).
+MakeController = Callable[[Records, Params, Options], Controller]
 
 
 class FilterController:
@@ -69,15 +71,15 @@ class FilterController:
         self,
         records: Records,
         params: Params,
-        jump: Jump,
-        tracker: Callable[[Records, Params, Jump], Any] = Tracker,
+        options: Options,
+        tracker: Callable[[Records, Params, Options], Any] = Tracker,
     ):
         """Begin B replays.
 
         Args:
             records: N records.
             params: `[B]`-batched parameters.
-            jump: `"same_tau"` or `"own_tau"`.
+            options: reading of a jump, start, and what counts as a record's end.
             tracker: constructor of the filter of `LANES` slots. Another than the default serves to
                 compare filters.
         """
@@ -85,7 +87,7 @@ class FilterController:
         self._parts = [slice(i, i + LANES) for i in range(0, self._slots, LANES)]
         self._lanes = self._parts[-1].stop
         padded = self._padded(params)
-        self._each = [tracker(records, _part(padded, part), jump) for part in self._parts]
+        self._each = [tracker(records, _part(padded, part), options) for part in self._parts]
         self._threads = ThreadPoolExecutor(min(cores(), len(self._parts)))
 
     def begin(self, which: np.ndarray, params: Params) -> None:
@@ -98,17 +100,17 @@ class FilterController:
     def observe(self, z: np.ndarray, which: np.ndarray) -> Observed:
         """Update the beliefs of the slots `which`, and predict."""
         z, which = self._padded(z), self._padded(which)
-        results = np.zeros((2, self._lanes))
+        results = np.zeros((3, self._lanes))
 
         def one(tracker: Any, part: slice) -> None:
             if which[part].any():
                 results[:, part] = tracker.observe(z[part], which[part])
 
         list(self._threads.map(one, self._each, self._parts))
-        log_evidence, end_probability = results[:, : self._slots]
+        log_evidence, end_probability, distance = results[:, : self._slots]
         widened = self._joined([tracker.widened for tracker in self._each])
         dropped = self._joined([tracker.dropped for tracker in self._each])
-        return Observed(end_probability, log_evidence, widened, dropped)
+        return Observed(end_probability, log_evidence, widened, dropped, distance)
 
     @property
     def command(self) -> np.ndarray:

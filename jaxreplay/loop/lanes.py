@@ -11,6 +11,7 @@ import numpy as np
 
 from jaxreplay.filter import build_filter
 from jaxreplay.filter.belief import NOTHING_DROPPED, Belief, Jump
+from jaxreplay.filter.distance import distance
 from jaxreplay.filter.numerics.stage import stage
 from jaxreplay.filter.steps import update
 from jaxreplay.filter.window import resize
@@ -29,7 +30,8 @@ class Results(NamedTuple):
     Attributes:
         command: `[B, n_u]` for the next step.
         log_evidence: `[B]` log p(Z_t | Z_{1:t−1}).
-        end_probability: `[B]` p(τ in the last 10 samples), after the update with Z_t.
+        end_probability: `[B]` p(τ in the last samples), after the update with Z_t.
+        distance: `[B]` from Z_t to the most probable state, see :mod:`jaxreplay.filter.distance`.
         dropped: `[B]` log2 of the most probable hypothesis that the step dropped.
         too_much: `[B]` 1 where that exceeds the limit, else 0.
     """
@@ -37,6 +39,7 @@ class Results(NamedTuple):
     command: np.ndarray
     log_evidence: np.ndarray
     end_probability: np.ndarray
+    distance: np.ndarray
     dropped: np.ndarray
     too_much: np.ndarray
 
@@ -47,20 +50,21 @@ class Steps(NamedTuple):
     All take `beliefs` of B replays and choose which to work on: `chosen`, `[B]` indices, of which
     those of B, at the end, do not count. They return the beliefs, and `[B, …]` results; those of
     `observe` in the columns of one array, for :func:`results_of`. The buffers of `beliefs` are
-    donated. `begin` puts beliefs at the records' first samples, to be followed by an observation
-    of no sensor. `move` copies beliefs from `source`, in windows of another width, into windows of
-    this width. Records are centred, and so are observations.
+    donated. `begin` puts beliefs where replays start, to be followed by an observation of no
+    sensor. `move` copies beliefs from `source`, in windows of another width, into windows of this
+    width. Records are centred, and so are observations.
     """
 
-    begin: Callable  # (records, beliefs, chosen) → beliefs
-    observe: Callable  # (records, params, beliefs, chosen, z, droppable) → beliefs, results
+    begin: Callable  # (records, beliefs, chosen, start) → beliefs
+    observe: Callable  # (…, params, beliefs, chosen, z, droppable, last_steps) → beliefs, results
     move: Callable  # (records, source, beliefs, chosen) → beliefs, dropped
 
 
 def results_of(columns: jax.Array) -> Results:
     """Return the results that :class:`Steps` has in columns (one array is copied faster)."""
     copied = np.array(columns)
-    return Results(copied[:, :-4], *copied.T[-4:])
+    scalars = len(Results._fields) - 1
+    return Results(copied[:, :-scalars], *copied.T[-scalars:])
 
 
 def steps(jump: Jump, window: int | None) -> Steps:
@@ -72,20 +76,21 @@ def steps(jump: Jump, window: int | None) -> Steps:
 def _steps(jump: Jump, window: int | None, over_lanes: Callable) -> Steps:
     filter = build_filter(jump, window)
 
-    def begin(records, beliefs, chosen):
-        belief = filter.init(records)
+    def begin(records, beliefs, chosen, start):
+        belief = filter.init(records, start)
         return jax.tree.map(lambda x, y: x.at[chosen].set(y, mode="drop"), beliefs, belief)
 
-    def observe(records, params, beliefs, chosen, z, droppable):
+    def observe(records, params, beliefs, chosen, z, droppable, last_steps):
         def one(b, before):
             belief, log_evidence = update(records, lane(params, b), _fresh(before), z[b])
-            end_probability = filter.end_probability(records, belief)
+            end_probability = filter.end_probability(records, belief, last_steps)
+            apart = distance(records, lane(params, b), belief, z[b])
             belief = filter.predict(records, lane(params, b), belief)
             command = filter.command(records, belief)
             too_much = belief.dropped > droppable[b]
-            scalars = jnp.stack([log_evidence, end_probability, belief.dropped, too_much])
+            scalars = [log_evidence, end_probability, apart, belief.dropped, too_much]
             kept = jax.tree.map(lambda x, y: jnp.where(too_much, x, y), before, belief)
-            return kept, jnp.concatenate([command, scalars])
+            return kept, jnp.concatenate([command, jnp.stack(scalars)])
 
         return over_lanes(one, beliefs, chosen)
 
@@ -97,7 +102,7 @@ def _steps(jump: Jump, window: int | None, over_lanes: Callable) -> Steps:
         return over_lanes(one, beliefs, chosen)
 
     return Steps(
-        jax.jit(begin, donate_argnums=1),
+        jax.jit(begin, donate_argnums=1, static_argnums=3),
         jax.jit(observe, donate_argnums=2, compiler_options=COMPILER_OPTIONS),
         jax.jit(move, donate_argnums=2, compiler_options=COMPILER_OPTIONS),
     )

@@ -1,5 +1,6 @@
 """The closed loop (§ 2.3): the filter, or another controller, drives an environment."""
 
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -9,11 +10,17 @@ import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv
 
 from jaxreplay.filter.belief import DEFAULT_JUMP, Jump
+from jaxreplay.filter.options import LAST_STEPS, Start, options_of
 from jaxreplay.loop.controller import Controller, FilterController, MakeController
 from jaxreplay.params import Params
 from jaxreplay.records import Records
 
 COMPLETED = 0.9  # § 2.2.5
+LOST = 3.0  # σ: a replay whose median distance from what it follows is larger was lost
+
+
+class LostWarning(UserWarning):
+    """Replays were far from what they followed for half of their steps."""
 
 
 class Replays(NamedTuple):
@@ -31,6 +38,10 @@ class Replays(NamedTuple):
         widened: `[n]` times that a step was computed again in a wider window.
         dropped: `[n]` log2 of the probability of the most probable hypothesis that windows
             dropped (see `Belief.dropped`); −∞ for none.
+        distance_median: `[n]` in σ, the median over steps of the distance from the observation to
+            the state followed (see :mod:`jaxreplay.filter.distance`); NaN if the controller has
+            none, and while the replay runs.
+        distance_max: `[n]` the largest such distance so far; NaN likewise.
         observations: of each replay asked for, a list of its `[n_s]` Z_t.
     """
 
@@ -41,6 +52,8 @@ class Replays(NamedTuple):
     info: dict[str, np.ndarray]
     widened: np.ndarray
     dropped: np.ndarray
+    distance_median: np.ndarray
+    distance_max: np.ndarray
     observations: dict[int, list[np.ndarray]]
 
 
@@ -51,6 +64,9 @@ def replay(
     seeds: Sequence[int],
     *,
     jump: Jump = DEFAULT_JUMP,
+    start: Start = "first",
+    last_steps: int | None = LAST_STEPS,
+    period: float | None = None,
     options: Mapping[str, np.ndarray] | None = None,
     keep: Sequence[int] = (),
     progress: Callable[[Replays], None] = lambda so_far: None,
@@ -61,7 +77,11 @@ def replay(
     A slot is a sub-environment of `env`; it has one replay at a time. All slots advance together,
     and a slot whose replay has ended is given the next. A replay is complete when p(τ in the last
     10 samples) exceeds 0.9 (§ 2.2.5). So it may end up to 10 samples before its records do: let
-    them go on for 10 samples after the goal is reached.
+    them go on for 10 samples after the goal is reached, or choose `last_steps`.
+
+    Commands are sent within the range that each has in the records (those of a controller of one's
+    own as they are), and rounded where the environment's actions are whole numbers. A replay that
+    was lost, more than 3 σ off what it followed for half of its steps, causes a warning.
 
     Args:
         records: demonstrations of the environment's observations and actions.
@@ -71,26 +91,42 @@ def replay(
             are set True there, and the environment may skip them; its reset sets them False.
         seeds: n seeds, one for each replay.
         jump: `"same_tau"` or `"own_tau"`.
+        start: `"first"`, at the records' first samples (equation 5), or `"anywhere"` in them.
+        last_steps: samples at a record's end that count as its end; 10 in the paper. None: the
+            environment alone ends a replay.
+        period: s between the environment's steps, to which records of another period are resampled
+            (see :meth:`jaxreplay.Records.resampled`). None: the environment's `control_period`, if
+            it has one and the records' is known; else records are taken as they are.
         options: for the environment's reset, `[n, …]` by name; the environment receives those of
             its slots, `[B, …]`, and `reset_mask`, `[B]` bool, the slots to reset. (Gymnasium's own
             SyncVectorEnv passes the whole `[B, …]` arrays to each sub-environment.)
         keep: replays whose observations are returned.
         progress: called with the results so far after every control step.
         controller: constructor of what turns observations into commands, called as
-            `controller(records, params, jump)` (see :mod:`jaxreplay.loop.controller`).
+            `controller(records, params, options)` (see :mod:`jaxreplay.loop.controller`).
 
     Raises:
-        ValueError: environment and records do not fit each other, or its autoreset is enabled.
+        ValueError: environment and records do not fit each other, or its autoreset is enabled;
+            there is not one set of parameters and one value of each option for each seed; an option
+            has no such value.
     """
+    choices = options_of(jump, start, last_steps)
     _check(records, env)
+    _check_batch(records, params, len(seeds), options or {})
+    if period is None and records.period is not None:
+        period = getattr(env.unwrapped, "control_period", None)
+    if period is not None:
+        records = records.resampled(period)
     slots = jax.tree.map(lambda x: x[np.zeros(env.num_envs, int)], params)
-    loop = _Loop(controller(records, slots, jump), params, env, seeds, options or {}, keep)
+    made = controller(records, slots, choices)
+    loop = _Loop(made, params, env, seeds, options or {}, keep, last_steps)
     loop.start(np.ones(env.num_envs, bool))
     while loop.going.any():
         result = loop.step(loop.controller.command)
         loop.observe(result)
         loop.start(loop.end(result))
         progress(loop.replays)
+    _warn_of_lost(loop.replays)
     return loop.replays
 
 
@@ -107,10 +143,12 @@ class _StepResult(NamedTuple):
 class _Loop:
     """The state of :func:`replay`: which replay each slot has, and the results so far."""
 
-    def __init__(self, controller: Controller, params, env, seeds, options, keep):
+    def __init__(self, controller: Controller, params, env, seeds, options, keep, last_steps):
         n, slots = len(seeds), env.num_envs
         self.controller, self.env, self.params = controller, env, params
         self.seeds, self.options = seeds, options
+        self.completed = COMPLETED if last_steps else np.inf
+        self.distances: list[list[float]] = [[] for _ in range(env.num_envs)]
         self.replay_in_slot = np.zeros(slots, int)  # indices of replays
         self.going = np.zeros(slots, bool)  # slots whose replay has not ended
         self.started = 0  # replays given to a slot so far
@@ -123,6 +161,8 @@ class _Loop:
             info={},
             widened=np.zeros(n, int),
             dropped=np.full(n, -np.inf),
+            distance_median=np.full(n, np.nan),
+            distance_max=np.full(n, np.nan),
             observations={k: [] for k in keep},
         )
 
@@ -149,20 +189,26 @@ class _Loop:
         self.env.reset(seed=seeds, options=options | {"reset_mask": fresh.copy()})
         params = jax.tree.map(lambda x: x[self.replay_in_slot], self.params)
         self.controller.begin(taken, params)
+        for b in take:
+            self.distances[b] = []
 
     def step(self, command: np.ndarray) -> _StepResult:
         """Send commands `[B, n_u]`; return what the environment gives back."""
-        return _StepResult(*self.env.step(command.astype(self.env.single_action_space.dtype)))
+        dtype = np.dtype(self.env.single_action_space.dtype)
+        whole = np.issubdtype(dtype, np.integer)
+        return _StepResult(*self.env.step((np.rint(command) if whole else command).astype(dtype)))
 
     def observe(self, result: _StepResult) -> None:
         """Update beliefs with the observations, and the results with what is known now."""
         going, now, replays = self.going, self.replay_in_slot[self.going], self.replays
         z = np.asarray(result.observation, float)
         observed = self.controller.observe(z, going)
-        self.end_probability, log_evidence, widened, dropped = (
+        self.end_probability, log_evidence, widened, dropped, distance = (
             np.broadcast_to(value, going.shape) for value in observed
         )
+        replays.distance_max[now] = np.fmax(replays.distance_max[now], distance[going])
         for b in np.flatnonzero(going):
+            self.distances[b].append(distance[b])
             if self.replay_in_slot[b] in replays.observations:
                 replays.observations[self.replay_in_slot[b]].append(z[b].copy())
         replays.steps[now] += 1
@@ -175,13 +221,15 @@ class _Loop:
         before = self.going.copy()
         for ending, is_so in (
             ("terminated", result.terminated),
-            ("completed", self.end_probability > COMPLETED),
+            ("completed", self.end_probability > self.completed),
             ("truncated", result.truncated),
         ):
             ends = is_so & self.going
             self.replays.ending[self.replay_in_slot[ends]] = ending
             self.going[ends] = False
         ended = before & ~self.going
+        for b in np.flatnonzero(ended):
+            self.replays.distance_median[self.replay_in_slot[b]] = np.median(self.distances[b])
         if ended.any():
             _keep_info(self.replays.info, result.info, self.replay_in_slot, ended, len(self.seeds))
         if hasattr(self.env, "resting"):
@@ -207,6 +255,43 @@ def _keep_info(
             kept[name] = np.full((n, *value.shape[1:]), missing, value.dtype)
         given = ended & info.get(f"_{name}", True)
         kept[name][replay_in_slot[given]] = value[given]
+
+
+def _warn_of_lost(replays: Replays) -> None:
+    """Warn of replays that were lost."""
+    lost = np.flatnonzero(replays.distance_median > LOST)
+    if len(lost):
+        more = ", …" if len(lost) > 5 else ""
+        warnings.warn(
+            f"{len(lost)} of {len(replays.steps)} replays were lost: the observations of "
+            f"{', '.join(map(str, lost[:5]))}{more} were more than {LOST:g} σ off the sample "
+            "followed in half of the steps; check the sensors' units, signs, order and rate, and "
+            "where the replay starts",
+            LostWarning,
+            stacklevel=3,
+        )
+
+
+def _check_batch(
+    records: Records, params: Params, n: int, options: Mapping[str, np.ndarray]
+) -> None:
+    """Check that parameters and options have a value for each of n replays."""
+    for name, value, wanted in (
+        ("theta_i", params.theta_i, (n,)),
+        ("theta_tau", params.theta_tau, (n,)),
+        ("sigma", params.sigma, (n, records.n_sensors)),
+    ):
+        if np.shape(value) != wanted:
+            raise ValueError(
+                f"{name} has shape {np.shape(value)}; {n} seeds and {records.n_sensors} sensors "
+                f"need {wanted}, a row for each replay"
+            )
+    for name, value in options.items():
+        if np.shape(value)[:1] != (n,):
+            raise ValueError(
+                f"options[{name!r}] has shape {np.shape(value)}; a value for each of {n} seeds is "
+                "needed"
+            )
 
 
 def _check(records: Records, env: VectorEnv) -> None:

@@ -7,6 +7,7 @@ import jax
 import numpy as np
 
 from jaxreplay.filter.belief import DEFAULT_JUMP, Jump
+from jaxreplay.filter.options import LAST_STEPS, Start, options_of
 from jaxreplay.loop.tracker import Tracker
 from jaxreplay.params import Params
 from jaxreplay.records import Records
@@ -22,11 +23,14 @@ class Followed(NamedTuple):
         record: index of the record, from 0.
         moment: τ, index of the sample in it, from 0.
         probability: p(I, τ) of that state.
+        distance: in σ, from the last observation to the sample that was then followed, largest over
+            sensors; 0 before the first. Values that stay above 3 mean that the robot is lost.
     """
 
     record: int
     moment: int
     probability: float
+    distance: float
 
 
 class Replayer:
@@ -41,36 +45,65 @@ class Replayer:
             replayer.observe(robot.sense())
 
     Attributes:
-        end_probability: p(τ in the last 10 samples) after the last observation (§ 2.2.5).
+        end_probability: p(τ in the last 10 samples, or `last_steps`) after the last observation
+            (§ 2.2.5).
         log_evidence: log p(Z_1:t) since the start.
     """
 
-    def __init__(self, records: Records, params: Params, jump: Jump = DEFAULT_JUMP):
-        """Compile, and start at the records' first samples.
+    def __init__(
+        self,
+        records: Records,
+        params: Params,
+        jump: Jump = DEFAULT_JUMP,
+        *,
+        start: Start = "first",
+        last_steps: int | None = LAST_STEPS,
+        period: float | None = None,
+    ):
+        """Compile, and start.
 
         Args:
             records: N records.
             params: one set of parameters.
             jump: `"same_tau"` or `"own_tau"`.
+            start: `"first"`, at the records' first samples (equation 5), or `"anywhere"` in them.
+            last_steps: samples at a record's end that count as its end; 10 in the paper. 1: the
+                last sample alone. None: as 1; for robots whose task ends otherwise.
+            period: s between the robot's commands. Where the records' period is another, they are
+                resampled (see :meth:`jaxreplay.Records.resampled`). None: the records'.
 
         Raises:
-            ValueError: `jump` is not one of `READINGS`, or parameters do not fit the records.
+            ValueError: an option has no such value, parameters do not fit the records, or a period
+                is given and that of the records is unknown.
         """
+        options = options_of(jump, start, last_steps)
         check_fit(records, params)
+        if period is not None:
+            records = records.resampled(period)
         self._records = records
-        self._tracker = Tracker(records, jax.tree.map(lambda x: x[None], params), jump)
+        self._tracker = Tracker(records, jax.tree.map(lambda x: x[None], params), options)
         self._tracker.compile()
         self.reset()
 
-    def reset(self) -> None:
-        """Start again at the records' first samples."""
+    def reset(self, start: Start | None = None) -> None:
+        """Start again.
+
+        Args:
+            start: `"first"` or `"anywhere"`, from now on; None: as before.
+
+        Raises:
+            ValueError: there is no such start.
+        """
+        if start is not None:
+            self._tracker.start_from(options_of("own_tau", start).start)
         self._tracker.begin(_THIS, self._tracker.params)
         self._observed = True
-        self.end_probability = self.log_evidence = 0.0
+        self.end_probability = self.log_evidence = self._distance = 0.0
 
     def command(self) -> np.ndarray:
         """Return the command `[n_u]` for the next control step, in the actuators' units.
 
+        It is equation 8, within the range that each command has in the records.
         Called again without an observation between, it continues by time alone.
         """
         if not self._observed:
@@ -113,10 +146,10 @@ class Replayer:
             raise ValueError(f"the observation's {names[k]} is {z[k]}{why}")
         if self._observed:
             raise ValueError("no command since the last observation: call command() first")
-        log_evidence, end_probability = self._tracker.observe(z[None], _THIS)
+        log_evidence, end_probability, distance = self._tracker.observe(z[None], _THIS)
         self._observed = True
         self.log_evidence += float(log_evidence[0])
-        self.end_probability = float(end_probability[0])
+        self.end_probability, self._distance = float(end_probability[0]), float(distance[0])
         return float(log_evidence[0])
 
     @property
@@ -126,7 +159,7 @@ class Replayer:
         p = belief.p.value()
         record, column = np.unravel_index(np.argmax(p), p.shape)
         start = np.broadcast_to(belief.start, len(p))[record]
-        return Followed(int(record), int(start + column), float(p[record, column]))
+        return Followed(int(record), int(start + column), float(p[record, column]), self._distance)
 
 
 def check_fit(records: Records, params: Params) -> None:

@@ -9,8 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxreplay.filter import build_filter
-from jaxreplay.filter.belief import NOTHING_DROPPED, Belief, Jump
+from jaxreplay.filter.belief import NOTHING_DROPPED, Belief
 from jaxreplay.filter.numerics.scaled import LOWEST
+from jaxreplay.filter.options import Options, Start
 from jaxreplay.loop.lanes import Steps, lane, results_of, steps
 from jaxreplay.machine import cores
 from jaxreplay.params import Params
@@ -60,7 +61,8 @@ class Tracker:
     then carried back to where it was long before is not found there by a narrow window.
 
     Attributes:
-        command: `[B, n_u]` the commands to send next.
+        command: `[B, n_u]` the commands to send next: equation 8, clipped to the range that each
+            command has in the records, which rounding exceeds by some 1e-7.
         window: `[B]` index of the window that each replay is in.
         widened: `[B]` times that a step was computed again in a wider window since the replay
             began.
@@ -74,7 +76,7 @@ class Tracker:
         self,
         records: Records,
         params: Params,
-        jump: Jump,
+        options: Options,
         windows: Sequence[int] | None = None,
     ):
         """Begin B replays.
@@ -82,14 +84,18 @@ class Tracker:
         Args:
             records: N records.
             params: `[B]`-batched parameters.
-            jump: `"same_tau"` or `"own_tau"`.
+            options: reading of a jump, start, and what counts as a record's end.
             windows: widths in ascending order, to choose from besides all samples; `WINDOWS` if
                 None.
         """
         self.records, self.params = records, params
-        self.jump: Jump = jump
+        self.options = options
         self.windows = windows_for(records, windows)
         self._centred = records.centred()
+        self._last_steps = np.int32(options.last_steps or 1)
+        self.start_from(options.start)
+        recorded = np.concatenate(records.sequences()[1])
+        self._lowest, self._highest = recorded.min(axis=0), recorded.max(axis=0)
         n = len(params.theta_i)
         self.command = np.zeros((n, records.n_commands))
         self.window, self.widened, self._observed = np.zeros((3, n), int)
@@ -98,8 +104,14 @@ class Tracker:
         self._beliefs: list[Belief | None] = [None] * len(self.windows)
         self.begin(np.ones(n, bool), params)
 
+    def start_from(self, start: Start) -> None:
+        """Let replays that begin from now on start there."""
+        self.options = self.options._replace(start=start)
+        # A start anywhere needs all samples, which the last of the windows stores.
+        self._first = 0 if start == "first" else len(self.windows) - 1
+
     def begin(self, which: np.ndarray, params: Params) -> None:
-        """Begin replays at the records' first samples.
+        """Begin replays where they start, see :class:`jaxreplay.filter.options.Options`.
 
         Args:
             which: `[B]` bool, the replays that begin; the others go on.
@@ -112,14 +124,17 @@ class Tracker:
         limit = np.maximum(-RETURN_AFTER * most - MARGIN, LOWEST - 1)
         self.droppable = limit.astype(np.int32)
         self._params = jax.tree.map(jnp.asarray, params)  # copied to the device once
-        begin = self._steps(0).begin
-        self._beliefs[0] = begin(self._centred, self._stored_beliefs(0), _chosen(which))
-        self.window[which] = 0
+        k = self._first
+        begin = self._steps(k).begin
+        self._beliefs[k] = begin(
+            self._centred, self._stored_beliefs(k), _chosen(which), self.options.start
+        )
+        self.window[which] = k
         self.observe(np.full((len(which), self.records.n_sensors), np.nan), which)
         self.widened[which] = self._observed[which] = 0
         self.dropped[which] = -np.inf
 
-    def observe(self, z: np.ndarray, which: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def observe(self, z: np.ndarray, which: np.ndarray) -> tuple[np.ndarray, ...]:
         """Update beliefs with an observation each, and predict.
 
         Args:
@@ -127,17 +142,18 @@ class Tracker:
             which: `[B]` bool, the replays that observe; the others stay as they are.
 
         Returns:
-            log p(Z_t | Z_{1:t−1}) and p(τ in the last 10 samples), each `[B]`; 0 for the others.
+            log p(Z_t | Z_{1:t−1}), p(τ in the last samples), and the distance from Z_t to the most
+            probable state (see :mod:`jaxreplay.filter.distance`), each `[B]`; 0 for the others.
         """
         z = np.asarray(self.records.centre(z))
-        log_evidence, end_probability = np.zeros((2, len(which)))
-        last = len(self.windows) - 1
+        log_evidence, end_probability, distance = np.zeros((3, len(which)))
+        last, limits = len(self.windows) - 1, (self.droppable, self._last_steps)
         for k in range(last + 1):
             now = which & (self.window == k)
             if not now.any():
                 continue
             step = self._steps(k).observe
-            results = results_of(self._run(k, step, now, self._params, z, self.droppable))
+            results = results_of(self._run(k, step, now, self._params, z, *limits))
             lossy = now & (results.too_much > 0)
             if k < last and lossy.any():
                 self._run(k + 1, self._steps(k + 1).move, lossy, self._beliefs[k])
@@ -145,12 +161,13 @@ class Tracker:
                 self.widened[lossy] += 1
                 now &= ~lossy
             self._record_dropped(now, results.dropped)
-            self.command[now] = results.command[now]
+            self.command[now] = np.clip(results.command[now], self._lowest, self._highest)
             log_evidence[now] = results.log_evidence[now]
             end_probability[now] = results.end_probability[now]
+            distance[now] = results.distance[now]
         self._observed[which] += 1
         self._narrow(which & (self._observed % NARROW_EVERY == 0))
-        return log_evidence, end_probability
+        return log_evidence, end_probability, distance
 
     def belief(self, b: int) -> Belief:
         """Return the belief of replay b, as predicted for its next step."""
@@ -166,8 +183,9 @@ class Tracker:
             _lane_of(self._empty_beliefs(k), 0)
             compiled = self._steps(k)
             self._call(
-                compiled.observe, self._empty_beliefs(k), nobody, self._params, z, self.droppable
-            )
+                compiled.observe, self._empty_beliefs(k), nobody, self._params, z, self.droppable,
+                self._last_steps,
+            )  # fmt: skip
             for neighbour in {max(k - 1, 0), min(k + 1, last)} - {k}:
                 self._call(
                     compiled.move, self._empty_beliefs(k), nobody, self._empty_beliefs(neighbour)
@@ -191,7 +209,7 @@ class Tracker:
         self.dropped[which] = np.maximum(self.dropped, bits)[which]
 
     def _steps(self, k: int) -> Steps:
-        return steps(self.jump, self.windows[k])
+        return steps(self.options.jump, self.windows[k])
 
     def _run(self, k: int, step: Any, which: np.ndarray, first: Any, *rest: Any) -> Any:
         """Run a step on beliefs in window k, for the replays in `which`; return its results.
@@ -212,7 +230,8 @@ class Tracker:
 
     def _empty_beliefs(self, k: int) -> Belief:
         """Return memory for the beliefs of all replays in window k."""
-        shapes = jax.eval_shape(build_filter(self.jump, self.windows[k]).init, self._centred)
+        init = build_filter(self.options.jump, self.windows[k]).init
+        shapes = jax.eval_shape(init, self._centred)
         return jax.tree.map(lambda x: jnp.zeros((len(self.window), *x.shape), x.dtype), shapes)
 
 

@@ -68,6 +68,7 @@ class PlaneVectorEnv(gymnasium.vector.VectorEnv):
 
     Attributes:
         params: the constants.
+        control_period: s of a step.
         pose: where robots, cubes and grippers are, see :class:`Pose`.
         held: `[B]` bool, whether the magnet holds the cube.
         alignment_error: `[B]` in m, as in the info.
@@ -87,12 +88,11 @@ class PlaneVectorEnv(gymnasium.vector.VectorEnv):
         Args:
             num_envs: B, the number of slots.
             params: the constants; the defaults of :class:`PlaneParams` if None.
-            render_mode: `"rgb_array"` or None, as Gymnasium asks for; `render` returns pictures
-                in either case.
+            render_mode: `"rgb_array"` or None; `render` returns pictures in either case.
         """
         self.num_envs, self.render_mode = num_envs, render_mode
-        self.params = params or PlaneParams()
-        p, n = self.params, num_envs
+        self.params = p = params or PlaneParams()
+        self.control_period, n = p.control_period, num_envs
         self.single_observation_space, self.single_action_space = _spaces(p)
         self.observation_space, self.action_space = (
             gymnasium.vector.utils.batch_space(space, n)

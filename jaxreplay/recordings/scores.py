@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxreplay.filter.belief import DEFAULT_JUMP, Jump
+from jaxreplay.filter.options import options_of
 from jaxreplay.loop.tracker import Tracker
 from jaxreplay.machine import cores
 from jaxreplay.params import Params
@@ -89,7 +90,7 @@ def leave_one_out(
     n = len(params.theta_i)
 
     def score(h: int) -> tuple[np.ndarray, np.ndarray]:
-        tracker = Tracker(others[h], params, jump)
+        tracker = Tracker(others[h], params, options_of(jump))
         everyone, evidence, square = np.ones(n, bool), np.zeros(n), np.zeros(n)
         for z, v in zip(sensors[chosen[h]], commands[chosen[h]], strict=True):
             square += np.sum((scale * (tracker.command - v)) ** 2, axis=1)

@@ -1,35 +1,108 @@
 """Arrays that a user gives, checked, and brought into the form of :class:`Records`."""
 
 from collections.abc import Sequence
-from typing import Literal
+from numbers import Real
+from typing import Any, Literal
 
 import jax
 import numpy as np
+
+from jaxreplay.records.given import numbers
 
 # A sensor gets an offset where its largest |value| exceeds this many times its spread: without
 # one, rounding to the working precision would cost its differences three bits or more.
 _FAR = 8
 
 
-def as_rows(rows: np.ndarray, name: str, i: int) -> np.ndarray:
+def as_rows(rows: Any, name: str, i: int) -> np.ndarray:
     """Return one sequence as a float64 array `[L_i, n]`, finite in the working precision."""
-    try:
-        given = np.asarray(rows, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise ValueError(f"record {i}: {name} is not an array of numbers: {error}") from None
+    given = numbers(rows, f"record {i}: {name}")
     if given.ndim != 2 or 0 in given.shape:
         raise ValueError(
             f"record {i}: {name} must have shape (time steps, dimensions), both at least 1; "
             f"got {given.shape}"
         )
     rounded = cast(given)
-    if not np.isfinite(rounded).all():
-        t, k = np.argwhere(~np.isfinite(rounded))[0]
+    # A sensor's NaN is a sample that was not measured.
+    good = np.isfinite(rounded) | (np.isnan(rounded) & (name in ("sensors", "observations")))
+    if not good.all():
+        t, k = np.argwhere(~good)[0]
         raise ValueError(
             f"record {i}: {name}[{t}, {k}] is {given[t, k]}, not a finite {rounded.dtype}; "
             "cut or fill such rows before building records"
         )
     return given
+
+
+def both(
+    sensors: Sequence[Any], commands: Sequence[Any]
+) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    """Return N arrays `[L_i, n_s]` of sensors and N arrays `[L_i, n_u]` of commands, checked."""
+    sensors = [as_rows(s, "sensors", i) for i, s in enumerate(sensors)]
+    commands = [as_rows(c, "commands", i) for i, c in enumerate(commands)]
+    if not sensors:
+        raise ValueError("records need at least one demonstration; got none")
+    if len(sensors) != len(commands):
+        raise ValueError(
+            f"{len(sensors)} sensor sequences but {len(commands)} command sequences; "
+            "give one of each for every demonstration"
+        )
+    for i, (s, c) in enumerate(zip(sensors, commands, strict=True)):
+        if len(s) != len(c):
+            raise ValueError(
+                f"record {i}: {len(s)} sensor rows but {len(c)} command rows; row t is a "
+                "command and the observation made after it (Records.from_steps takes "
+                "one observation more than commands)"
+            )
+        for name, rows, first in (("sensors", s, sensors[0]), ("commands", c, commands[0])):
+            if rows.shape[1] != first.shape[1]:
+                raise ValueError(
+                    f"record {i}: {name} has {rows.shape[1]} columns, record 0 has "
+                    f"{first.shape[1]}; all records must have the same {name}"
+                )
+    return sensors, commands
+
+
+def check_period(period: Any) -> None:
+    """Check that a period is a positive number of seconds, or None."""
+    if period is not None and not (isinstance(period, Real) and 0 < float(period) < np.inf):
+        raise ValueError(f"period must be a positive number of seconds; got {period!r}")
+
+
+def one_row_later(
+    observations: Sequence[Any], actions: Sequence[Any]
+) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    """Return the rows of records: each action with the observation that follows it.
+
+    Args:
+        observations: N arrays, the i-th `[T_i + 1, n_s]` or `[T_i, n_s]`.
+        actions: N arrays, the i-th `[T_i, n_u]`.
+
+    Raises:
+        ValueError: lengths differ otherwise, or an episode leaves no row.
+    """
+    if len(observations) != len(actions):
+        raise ValueError(
+            f"{len(observations)} episodes of observations but {len(actions)} of actions; give "
+            "one of each for every episode"
+        )
+    sensors, commands = [], []
+    for i, (given, sent) in enumerate(zip(observations, actions, strict=True)):
+        seen, done = as_rows(given, "observations", i), as_rows(sent, "actions", i)
+        if len(seen) - len(done) not in (0, 1):
+            raise ValueError(
+                f"record {i}: {len(seen)} observations but {len(done)} actions; give one "
+                "observation more than actions, or as many of both with each observation before "
+                "its action"
+            )
+        if len(seen) < 2:
+            raise ValueError(
+                f"record {i}: 1 observation and 1 action leave no row, as a row is an action and "
+                "the observation after it; at least 2 observations are needed"
+            )
+        sensors.append(seen[1:])
+        commands.append(done[: len(seen) - 1])
+    return sensors, commands
 
 
 def cast(values: np.ndarray) -> np.ndarray:

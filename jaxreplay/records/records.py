@@ -1,39 +1,37 @@
 """Records Π: the demonstrations, stored sample by sample (§ 2.1)."""
 
-import zipfile
-import zlib
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from io import BytesIO
-from numbers import Real
 from pathlib import Path
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 
 from jaxreplay.machine import write_whole
-from jaxreplay.records.arrays import as_rows, cast, extend, names, offset_of
+from jaxreplay.records.arrays import both, cast, check_period, names, one_row_later
+from jaxreplay.records.columns import columns_of
+from jaxreplay.records.file import stored
+from jaxreplay.records.given import one_for_each
 from jaxreplay.records.long import LongestFirst, longest_first
-
-_BROKEN = (KeyError, ValueError, TypeError, OSError, EOFError, zipfile.BadZipFile, zlib.error)
+from jaxreplay.records.resample import resample
 
 
 @partial(
     jax.tree_util.register_dataclass,
-    data_fields=["nodes", "commands", "lengths", "span", "long"],
+    data_fields=["nodes", "commands", "lengths", "span", "long", "unmeasured"],
     meta_fields=["sensor_names", "command_names", "period", "offset"],
 )
 @dataclass(frozen=True, repr=False)
 class Records:
     """N records of unequal lengths L_i, as arrays padded to a common length L ≥ max_i L_i.
 
-    Row t of a record is the command v_t and the observation ζ_t made *after* it, the order of
-    § 2.3. An observation made before the first command has no row. (Minari and `imitation`
-    store T + 1 observations for T actions: drop the first of them.)
-
-    Build records with :meth:`from_sequences` or :meth:`load`.
+    Row t of a record is the command v_t and the observation ζ_t made *after* it (§ 2.3).
+    Build records with :meth:`from_sequences`, :meth:`from_steps`, :meth:`load` or `jr.read`.
 
     Attributes:
         nodes: `[n_s, N, L + 2]` observations ζ less the offset, in the sensors' own units.
@@ -50,6 +48,9 @@ class Records:
         offset: `[n_s]` in the sensors' own units, subtracted from observations in float64 before
             they are rounded to the working precision. It is 0 except for a sensor whose values
             are far from 0 compared with their spread, such as a position in UTM coordinates.
+        unmeasured: `[n_s, N, L]` bool, samples that were NaN: straight lines between the measured
+            ones take their place in `nodes` (see :mod:`jaxreplay.records.missing`). None if all
+            were measured.
     """
 
     nodes: jax.Array
@@ -61,73 +62,77 @@ class Records:
     command_names: tuple[str, ...]
     period: float | None
     offset: tuple[float, ...]
+    unmeasured: jax.Array | None = None
 
     @classmethod
     def from_sequences(
         cls,
-        sensors: Sequence[np.ndarray],
-        commands: Sequence[np.ndarray],
+        sensors: Iterable[Any],
+        commands: Iterable[Any],
         sensor_names: Sequence[str] | None = None,
         command_names: Sequence[str] | None = None,
         period: float | None = None,
     ) -> "Records":
         """Return the records of N demonstrations.
 
+        Bools count as 0 and 1, masked values as NaN. Data frames (pandas, polars) are taken by the
+        names of their columns, which must be the same in all, in whatever order.
+
         Args:
-            sensors: N arrays, the i-th `[L_i, n_s]` with L_i ≥ 1.
-            commands: N arrays, the i-th `[L_i, n_u]`.
-            sensor_names: `[n_s]` distinct names; by default z0, z1, …
-            command_names: `[n_u]` distinct names; by default u0, u1, …
+            sensors: N arrays or data frames, the i-th `[L_i, n_s]` with L_i ≥ 1; or `[N, L, n_s]`.
+                NaN marks a sample that was not measured.
+            commands: N arrays or data frames, the i-th `[L_i, n_u]`; or `[N, L, n_u]`.
+            sensor_names: `[n_s]` distinct names; by default those of data frames, or z0, z1, …
+            command_names: `[n_u]` distinct names; by default those of data frames, or u0, u1, …
             period: time between rows in s, if known.
 
         Raises:
             ValueError: there is no record, a record is empty, shapes or names do not match, a
-                value is not finite in the working precision, or the period is not positive.
+                value is no number or infinite in the working precision, a command or a whole
+                sensor is NaN, or the period is not positive.
         """
-        sensors = [as_rows(s, "sensors", i) for i, s in enumerate(sensors)]
-        commands = [as_rows(c, "commands", i) for i, c in enumerate(commands)]
-        if not sensors:
-            raise ValueError("records need at least one demonstration; got none")
-        if len(sensors) != len(commands):
-            raise ValueError(
-                f"{len(sensors)} sensor sequences but {len(commands)} command sequences; "
-                "give one of each for every demonstration"
-            )
-        for i, (s, c) in enumerate(zip(sensors, commands, strict=True)):
-            if len(s) != len(c):
-                raise ValueError(
-                    f"record {i}: {len(s)} sensor rows but {len(c)} command rows; row t is a "
-                    "command and the observation made after it (drop the observation that "
-                    "came before the first command)"
-                )
-            for name, rows, first in (("sensors", s, sensors[0]), ("commands", c, commands[0])):
-                if rows.shape[1] != first.shape[1]:
-                    raise ValueError(
-                        f"record {i}: {name} has {rows.shape[1]} columns, record 0 has "
-                        f"{first.shape[1]}; all records must have the same {name}"
-                    )
-        if period is not None and not (isinstance(period, Real) and 0 < period < np.inf):
-            raise ValueError(f"period must be a positive number of seconds; got {period!r}")
-
-        lengths = [len(s) for s in sensors]
-        longest = max(lengths)
-        offset = offset_of(np.concatenate(sensors))
-        sensors = [s - offset for s in sensors]
-        mirrored = [np.concatenate([s[:2][-1:], s, s[-2:][:1]]) for s in sensors]
-        nodes = [extend(m, longest + 2, "edge") for m in mirrored]
-        rows = [extend(c, longest, "constant") for c in commands]
-        nodes = cast(np.stack(nodes).transpose(2, 0, 1))
-        span = np.stack([nodes.min((1, 2)), nodes.max((1, 2))])
+        sensors, sensor_names = one_for_each(sensors, "sensors", sensor_names)
+        commands, command_names = one_for_each(commands, "commands", command_names)
+        sensors, commands = both(sensors, commands)
+        check_period(period)
+        sensor_names = names(sensor_names, sensors[0].shape[1], "z", "sensor")
         return cls(
-            nodes=jnp.asarray(nodes),
-            commands=jnp.asarray(cast(np.stack(rows).transpose(2, 0, 1))),
-            lengths=jnp.asarray(lengths, dtype=jnp.int32),
-            span=jnp.asarray(span),
-            long=longest_first(nodes, np.array(lengths)),
-            sensor_names=names(sensor_names, sensors[0].shape[1], "z", "sensor"),
+            **columns_of(sensors, commands, sensor_names),
+            sensor_names=sensor_names,
             command_names=names(command_names, commands[0].shape[1], "u", "command"),
             period=None if period is None else float(period),
-            offset=tuple(map(float, offset)),
+        )
+
+    @classmethod
+    def from_steps(
+        cls,
+        observations: Iterable[Any],
+        actions: Iterable[Any],
+        sensor_names: Sequence[str] | None = None,
+        command_names: Sequence[str] | None = None,
+        period: float | None = None,
+    ) -> "Records":
+        """Return the records of N episodes in which observation o_t stands before action a_t.
+
+        Row t of a record is a_t and o_(t+1), so an episode's first observation is lost. With as
+        many observations as actions (LeRobot, robomimic) its last action is lost too, as no
+        observation follows it; with T + 1 observations for T actions (Minari, imitation) it is not.
+
+        Args:
+            observations: N arrays or data frames, `[T_i + 1, n_s]` or `[T_i, n_s]`.
+            actions: N arrays or data frames, `[T_i, n_u]`.
+            sensor_names: see :meth:`from_sequences`.
+            command_names: see :meth:`from_sequences`.
+            period: time between rows in s, if known.
+
+        Raises:
+            ValueError: the numbers of observations and actions differ otherwise, an episode has
+                fewer than 2 observations, or see :meth:`from_sequences`.
+        """
+        observations, sensor_names = one_for_each(observations, "observations", sensor_names)
+        actions, command_names = one_for_each(actions, "actions", command_names)
+        return cls.from_sequences(
+            *one_row_later(observations, actions), sensor_names, command_names, period
         )
 
     def __repr__(self) -> str:
@@ -157,27 +162,35 @@ class Records:
         """L, the length in samples to which records are padded."""
         return self.commands.shape[-1]
 
-    def sequences(self) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    def sequences(self, filled: bool = False) -> tuple[list[np.ndarray], list[np.ndarray]]:
         """Return the records as lists of arrays `[L_i, n_s]` and `[L_i, n_u]`.
 
         They are rounded to the working precision.
+
+        Args:
+            filled: whether straight lines take the place of samples not measured, instead of NaN.
         """
         offset = np.array(self.offset)[:, None, None]
         nodes, commands = np.asarray(self.nodes, np.float64) + offset, np.asarray(self.commands)
+        sensors = nodes[:, :, 1:-1]
+        if self.unmeasured is not None and not filled:
+            sensors = np.where(self.unmeasured, np.nan, sensors)
         lengths = np.asarray(self.lengths)
         return (
-            [nodes[:, i, 1 : n + 1].T.copy() for i, n in enumerate(lengths)],
+            [sensors[:, i, :n].T.copy() for i, n in enumerate(lengths)],
             [commands[:, i, :n].T.copy() for i, n in enumerate(lengths)],
         )
 
     def centred(self) -> "Records":
         """Return the nodes and commands unchanged, for centred observations.
 
-        The offset is 0, and names and period are left out, so that programs compiled for records
-        of one shape serve all of them.
+        The offset is 0; names, period and which samples were measured are left out, so that
+        programs compiled for records of one shape serve all of them.
         """
         offset = (0.0,) * self.n_sensors
-        return replace(self, sensor_names=(), command_names=(), period=None, offset=offset)
+        return replace(
+            self, sensor_names=(), command_names=(), period=None, offset=offset, unmeasured=None
+        )
 
     def centre(self, z: np.ndarray | jax.Array) -> np.ndarray | jax.Array:
         """Return observations less the offset, as the nodes are stored.
@@ -208,6 +221,23 @@ class Records:
             if np.shape(value) != (self.n_sensors,):
                 raise self.misfit(name, np.shape(value))
 
+    def check_finite(self, name: str, centred: np.ndarray | jax.Array) -> None:
+        """Check that no centred observation `[…, n_s]` is infinite; those traced by JAX pass.
+
+        Raises:
+            ValueError: one is, in the working precision.
+        """
+        if isinstance(centred, Tracer):
+            return
+        infinite = np.isinf(np.asarray(centred))
+        if infinite.any():
+            *_, k = place = np.argwhere(infinite)[0].tolist()
+            sensor = f" ({self.sensor_names[k]})" if self.sensor_names else ""
+            raise ValueError(
+                f"{name}[{', '.join(map(str, place))}]{sensor} is infinite in {self.nodes.dtype}; "
+                "give NaN for what was not measured"
+            )
+
     def misfit(self, name: str, shape: tuple[int, ...]) -> ValueError:
         """Return the error for an argument of this shape that should have a value per sensor."""
         names = f" ({', '.join(self.sensor_names)})" if self.sensor_names else ""
@@ -215,6 +245,30 @@ class Records:
             f"{name} has shape {shape}; the records have {self.n_sensors} sensors{names}, so "
             f"({self.n_sensors},) is needed"
         )
+
+    def resampled(self, period: float) -> "Records":
+        """Return the records at another rate, see :mod:`jaxreplay.records.resample`.
+
+        Args:
+            period: s between rows; the records themselves are returned where it is theirs.
+
+        Raises:
+            ValueError: it is not a positive number, or the records' period is unknown.
+        """
+        check_period(period)
+        if self.period is None:
+            raise ValueError(
+                f"records of unknown period cannot be resampled to {period} s: give their own "
+                "period when they are made, period=…"
+            )
+        if np.isclose(period, self.period, rtol=1e-6):
+            return self
+        each = zip(*self.sequences(), strict=True)
+        pairs = [resample(s, c, period / self.period) for s, c in each]
+        return Records.from_sequences(
+            [s for s, _ in pairs], [c for _, c in pairs], self.sensor_names, self.command_names,
+            period,
+        )  # fmt: skip
 
     def subset(self, which: Sequence[int]) -> "Records":
         """Return the records with the given indices (from 0), in the given order.
@@ -239,6 +293,7 @@ class Records:
             lengths=jnp.asarray(lengths),
             span=jnp.asarray(span),
             long=longest_first(nodes, lengths),
+            unmeasured=None if self.unmeasured is None else self.unmeasured[:, np.array(which)],
         )
 
     def save(self, path: str | Path) -> None:
@@ -268,32 +323,8 @@ class Records:
             OSError: there is no such file, or it cannot be opened.
             ValueError: the file is truncated, or does not contain records.
         """
+        contents = stored(path)
         try:
-            with open(path, "rb") as stream:
-                if not zipfile.is_zipfile(stream):
-                    raise ValueError("it is not a whole .npz file")
-                stream.seek(0)
-                with np.load(stream, allow_pickle=False) as file:
-                    parts = {name: file[name] for name in file.files}
-            lengths = parts["lengths"]
-            cuts = np.cumsum(lengths)[:-1]
-            if np.min(lengths) < 1:
-                raise ValueError("one of its lengths is less than 1")
-            period = None if np.isnan(float(parts["period"])) else float(parts["period"])
-            for name in ("sensors", "commands"):
-                if len(parts[name]) != np.sum(lengths):
-                    raise ValueError(f"its lengths do not add up to its number of {name} rows")
-            sensors, commands = (np.split(parts[k], cuts) for k in ("sensors", "commands"))
-            sensor_names = [str(name) for name in parts["sensor_names"]]
-            command_names = [str(name) for name in parts["command_names"]]
-        except FileNotFoundError:
-            raise FileNotFoundError(f"no records file {path}") from None
-        except (PermissionError, IsADirectoryError):
-            raise
-        except _BROKEN as error:
-            cause = "(truncated, or written by something else)"
-            raise ValueError(f"{path} does not contain records {cause}: {error}") from error
-        try:
-            return cls.from_sequences(sensors, commands, sensor_names, command_names, period)
+            return cls.from_sequences(*contents)
         except ValueError as error:
             raise ValueError(f"{path}: {error}") from None

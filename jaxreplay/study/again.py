@@ -12,7 +12,7 @@ from gymnasium.vector import VectorEnv, VectorWrapper
 
 from jaxreplay.errors import ConfigError
 from jaxreplay.filter import build_filter
-from jaxreplay.filter.belief import Jump
+from jaxreplay.filter.options import Options
 from jaxreplay.loop.controller import FilterController, MakeController
 from jaxreplay.loop.replay import replay
 from jaxreplay.loop.rivals import controller_named
@@ -25,7 +25,7 @@ from jaxreplay.study.demonstrations import demonstrations
 from jaxreplay.study.factors import FACTORS
 from jaxreplay.study.open import config_of, open_study
 from jaxreplay.study.runs import records_of, runs_of, settings_of, worlds_of
-from jaxreplay.study.shard import outcomes
+from jaxreplay.study.shard import how_of, outcomes
 from jaxreplay.study.store import check_format
 
 ALWAYS = ("theta_i", "theta_tau", "sigma", "jump")  # told of a run, the others if not the default
@@ -76,9 +76,9 @@ def run_again(config: StudyConfig, demonstrations: Mapping[PlaneParams, Records]
     """
     one = runs_of(config).of(np.array([k]))
     params, (seed,), options = settings_of(config, one)
-    jump, chosen = one.values["jump"][0], records_of(config, demonstrations, one)
+    how, chosen = how_of(one), records_of(config, demonstrations, one)
     controller = controller_named(one.values["controller"][0])
-    trace = trace_of(chosen, params, worlds_of(config, one), jump, seed, options, controller)
+    trace = trace_of(chosen, params, worlds_of(config, one), how, seed, options, controller)
     values = {
         FACTORS[name].symbol: value
         for name, (value,) in one.values.items()
@@ -164,19 +164,20 @@ def trace_of(
     records: Records,
     params: Params,
     worlds: VectorEnv,
-    jump: Jump,
+    how: Options,
     seed: int,
     options: dict[str, np.ndarray],
     controller: MakeController = FilterController,
 ) -> Trace:
-    """Run one replay in the plane and record it; arguments as of :func:`jaxreplay.replay`.
+    """Run one replay in the plane and record it.
 
+    Arguments are as of :func:`jaxreplay.replay`; `how` is its reading of a jump, start and end.
     The beliefs are those that the filter has of the observations, also where another controller
     made them.
     """
     env = _Recorder(worlds)
     replays = replay(
-        records, params, env, [seed], jump=jump, options=options, controller=controller
+        records, params, env, [seed], **how._asdict(), options=options, controller=controller
     )
     columns = [np.array(column) for column in zip(*env.rows, strict=True)]
     observations, commands, robot, cube, elevation, tilt, held = columns
@@ -184,7 +185,7 @@ def trace_of(
     return Trace(
         observations=observations,
         commands=commands,
-        beliefs=beliefs(records, one, jump, observations),
+        beliefs=beliefs(records, one, how, observations),
         robot=robot,
         cube=cube,
         elevation=elevation,
@@ -198,19 +199,19 @@ def trace_of(
     )
 
 
-def beliefs(records: Records, params: Params, jump: Jump, observations: np.ndarray) -> np.ndarray:
+def beliefs(records: Records, params: Params, how: Options, observations: np.ndarray) -> np.ndarray:
     """Return p(I, τ | Z_1:t) of every step of a replay, `[T, N, L]`.
 
     All moments τ (positions on a record) are stored, without a window.
     """
-    filter, centred = build_filter(jump), records.centred()
+    filter, centred = build_filter(how.jump), records.centred()
 
     def step(belief, z):
         belief, _ = filter.update(centred, params, filter.predict(centred, params, belief), z)
         return belief, filter.posterior(centred, belief)
 
     z = jnp.asarray(records.centre(observations))
-    return np.asarray(jax.jit(lambda: jax.lax.scan(step, filter.init(centred), z)[1])())
+    return np.asarray(jax.jit(lambda: jax.lax.scan(step, filter.init(centred, how.start), z)[1])())
 
 
 class _Recorder(VectorWrapper):

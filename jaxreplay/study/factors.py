@@ -8,6 +8,7 @@ import numpy as np
 from gymnasium.vector import VectorEnv
 
 from jaxreplay.filter.belief import DEFAULT_JUMP, READINGS
+from jaxreplay.filter.options import LAST_STEPS, STARTS
 from jaxreplay.loop.rivals import controller_named
 from jaxreplay.plane import light
 from jaxreplay.plane.options import SETTINGS
@@ -135,6 +136,22 @@ FACTORS: dict[str, Factor] = {
         "jump",
         "",
         "reading of a jump",
+        batch_key=lambda value, repeat: value,
+    ),
+    "start": Factor(
+        STARTS[0],
+        one_of(*STARTS),
+        "start",
+        "",
+        "where in the demonstrations the filter starts",
+        batch_key=lambda value, repeat: value,
+    ),
+    "last_steps": Factor(
+        LAST_STEPS,
+        whole(1, 10_000),
+        "last steps",
+        "1",
+        "samples that count as a demonstration's end",
         batch_key=lambda value, repeat: value,
     ),
     "records": Factor(

@@ -1,6 +1,7 @@
 """A shard: runs of a study replayed in one batch, and their results as a dataset."""
 
 import platform
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -9,8 +10,9 @@ import numpy as np
 import xarray as xr
 
 from jaxreplay.errors import ConfigError
+from jaxreplay.filter.options import Options, options_of
 from jaxreplay.loop.audit import audit
-from jaxreplay.loop.replay import Replays, replay
+from jaxreplay.loop.replay import LostWarning, Replays, replay
 from jaxreplay.loop.rivals import controller_named
 from jaxreplay.plane.params import PlaneParams
 from jaxreplay.records import Records
@@ -63,7 +65,7 @@ def run_shard(
         found = audit(
             records_of(config, demonstrations, one),
             params,
-            one.values["jump"][0],
+            how_of(one),
             np.array(replays.observations[k]),
         )
         results["total_variation"][k], results["command_error"][k] = found
@@ -103,17 +105,25 @@ def replays_of(
     `keep` lists the runs whose observations are returned.
     """
     params, seeds, options = settings_of(config, runs)
-    return replay(
-        records_of(config, demonstrations, runs),
-        params,
-        worlds_of(config, runs),
-        seeds,
-        jump=runs.values["jump"][0],
-        options=options,
-        controller=controller_named(runs.values["controller"][0]),
-        keep=keep,
-        progress=progress,
-    )
+    with warnings.catch_warnings():
+        # A study's outcomes say which runs failed.
+        warnings.simplefilter("ignore", LostWarning)
+        return replay(
+            records_of(config, demonstrations, runs),
+            params,
+            worlds_of(config, runs),
+            seeds,
+            **how_of(runs)._asdict(),
+            options=options,
+            controller=controller_named(runs.values["controller"][0]),
+            keep=keep,
+            progress=progress,
+        )
+
+
+def how_of(runs: Runs) -> Options:
+    """Return reading of a jump, start and end of the runs of one shard, which agree in them."""
+    return options_of(**{name: runs.values[name][0] for name in Options._fields})
 
 
 def outcomes(replays: Replays) -> np.ndarray:

@@ -15,14 +15,27 @@ def test_the_command_prints_and_draws(tmp_path, capsys):
     sensors[2][20, 0] = 30
     records = Records.from_sequences(sensors, commands, ["turn", "x", "seen"])
     records.save(path)
-    assert cli.main(["inspect", str(path)]) == 0
+    assert cli.main(["inspect", str(path), "--quick"]) == 0
     printed = capsys.readouterr().out
     assert printed == f"{report(inspect(records))}\n{tmp_path / 'demos.png'}\n"
     assert re.search(r"^turn +-?\d.* 2, 2[01] ", printed, re.MULTILINE)
     with Image.open(tmp_path / "demos.png") as image:
         assert image.format == "PNG"
-    assert cli.main(["inspect", str(path), "--out", str(out)]) == 0
+    assert cli.main(["inspect", str(path), "--out", str(out), "--quick"]) == 0
     assert "<svg" in out.read_text(encoding="utf-8")
+
+
+@pytest.mark.usefixtures("fewer_windows")
+def test_it_scores_records_unless_it_shall_be_quick(tmp_path, capsys):
+    path = tmp_path / "demos.npz"
+    Records.from_sequences(*sequences((60, 62, 61))).save(path)
+    assert cli.main(["inspect", str(path)]) == 0
+    scored = capsys.readouterr().out
+    rows = re.findall(r"^(\d|all) +(\d+) +[\d.]+% +-?[\d.]+$", scored, re.MULTILINE)
+    assert rows == [("0", "60"), ("1", "62"), ("2", "61"), ("all", "183")]
+    assert "command error with commands one row earlier: " in scored
+    assert cli.main(["inspect", str(path), "--quick"]) == 0
+    assert "command error" not in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

@@ -16,10 +16,9 @@ PARAMS = reference.Params(0.25, 0.0625, np.array([0.5, 2.0]))
 LENGTHS = (9, 7)
 
 
-@pytest.mark.parametrize("maker", READINGS)
 @pytest.mark.parametrize("start", [np.int32(0), np.zeros(2, np.int32)], ids=["scalar", "[N]"])
 @both_readings
-def test_the_reading_is_the_name_whatever_the_rank_of_start(jump, start, maker):
+def test_the_reading_is_the_name_whatever_the_rank_of_start(jump, start):
     sensors, commands = random_sequences(0, LENGTHS)
     records = Records.from_sequences(sensors, commands)
     p = np.random.default_rng(1).random((2, 9)) * (np.arange(9) < np.array(LENGTHS)[:, None])
@@ -30,9 +29,27 @@ def test_the_reading_is_the_name_whatever_the_rank_of_start(jump, start, maker):
     with np.errstate(divide="ignore"):
         want = {name: reference.predict(sensors, PARAMS, np.log(p), name) for name in READINGS}
     assert np.abs(np.exp(want["same_tau"]) - np.exp(want["own_tau"])).max() > 0.01
-    predicted = build_filter(maker).predict(records, Params(*PARAMS), belief)
+    predicted = build_filter(jump).predict(records, Params(*PARAMS), belief)
     assert predicted.jump == jump
     np.testing.assert_allclose(predicted.p.value(), np.exp(want[jump]), atol=1e-6)
+
+
+def test_a_belief_of_another_filter_is_refused():
+    records = Records.from_sequences(*random_sequences(0, (90, 80)))
+    params, z = Params(*PARAMS), np.zeros(records.n_sensors)
+    mine = build_filter("own_tau", 40)
+    for other in (
+        build_filter("same_tau", 40),
+        build_filter("own_tau"),
+        build_filter("own_tau", 50),
+    ):
+        belief = other.init(records)
+        with pytest.raises(ValueError, match=r"build_filter\('own_tau', 40\)"):
+            mine.predict(records, params, belief)
+        with pytest.raises(ValueError, match=r"build_filter\('own_tau', 40\)"):
+            mine.update(records, params, belief, z)
+    whole = build_filter("own_tau", 200)  # wider than the records: all samples
+    assert whole.predict(records, params, build_filter("own_tau").init(records)).window is None
 
 
 @both_readings

@@ -4,6 +4,7 @@ from filter_helpers import own_tau_first
 from random_helpers import random_sequences
 
 from jaxreplay import Params, Records, reference
+from jaxreplay.filter.options import Options
 from jaxreplay.loop import tracker
 from jaxreplay.loop.audit import audit
 
@@ -24,7 +25,7 @@ def setting():
 def test_windows_that_drop_nothing_that_matters_are_found_exact(setting, jump):
     sensors, commands, seen = setting
     records = Records.from_sequences(sensors, commands)
-    found = audit(records, Params(THETA_I, THETA_TAU, SIGMA), jump, seen)
+    found = audit(records, Params(THETA_I, THETA_TAU, SIGMA), Options(jump), seen)
     assert found.total_variation < 1e-5
     assert found.command < 1e-5
 
@@ -35,10 +36,10 @@ def test_what_a_narrow_window_loses_is_measured(setting, monkeypatch):
     records, params = Records.from_sequences(sensors, commands), Params(THETA_I, THETA_TAU, SIGMA)
     monkeypatch.setattr(tracker, "WINDOWS", (32,))
     monkeypatch.setattr(tracker, "MARGIN", -(2**29))
-    found = audit(records, params, "own_tau", seen)
+    found = audit(records, params, Options("own_tau"), seen)
 
     same = reference.Params(THETA_I, THETA_TAU, np.array(SIGMA))
-    narrow = tracker.Tracker(records, Params([THETA_I], [THETA_TAU], [SIGMA]), "own_tau")
+    narrow = tracker.Tracker(records, Params([THETA_I], [THETA_TAU], [SIGMA]), Options("own_tau"))
     belief, worst = reference.init(sensors), 0.0
     span = np.ptp(np.concatenate(commands), axis=0)
     belief = reference.predict(sensors, same, belief, "own_tau")

@@ -7,6 +7,7 @@ from filter_helpers import tolerance
 from random_helpers import as_float32
 
 from jaxreplay import Params, Records, build_filter, reference
+from jaxreplay.filter.options import Options
 from jaxreplay.loop.tracker import Tracker
 
 N, LONGEST, N_SENSORS = 8, 48, 3
@@ -78,7 +79,7 @@ def test_many_random_updates_stay_finite_and_agree_with_the_reference(seed):
 
     records = Records.from_sequences(sensors, commands)
     params = Params(theta_i, theta_tau, np.tile(sigma, (REPLAYS, 1)))
-    tracker, going = Tracker(records, params, jump, windows=()), np.ones(REPLAYS, bool)
+    tracker, going = Tracker(records, params, Options(jump), windows=()), np.ones(REPLAYS, bool)
     posterior = jax.vmap(build_filter(jump).posterior, in_axes=(None, 0))
     sample = list(range(HELD_AGAINST_THE_REFERENCE))
     wanted = [

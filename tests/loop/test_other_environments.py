@@ -27,37 +27,40 @@ def mountain_car(slots, mode=AutoresetMode.DISABLED):
 
 @pytest.fixture(scope="module")
 def climbs():
-    """Pushing where it rolls brings the car up the mountain; 12 samples more beyond the flag.
-
-    The last 10 samples of a record count as its end.
-    """
+    """Pushing where it rolls brings the car up the mountain; the episodes end at the flag."""
     car = gymnasium.make("MountainCarContinuous-v0").unwrapped
     sensors, commands = [], []
     for seed in range(10):
         z, _ = car.reset(seed=seed)
-        seen, sent, beyond = [], [], 0
-        while beyond < 12:
-            push = np.array([1.0 if z[1] >= 0 else -1.0], np.float32)
-            z, _, up, *_ = car.step(push)
-            beyond += up
+        seen, sent, up = [z], [], False
+        while not up:
+            sent.append(np.array([1.0 if z[1] >= 0 else -1.0], np.float32))
+            z, _, up, *_ = car.step(sent[-1])
             seen.append(z)
-            sent.append(push)
         sensors.append(np.array(seen))
         commands.append(np.array(sent))
-    return Records.from_sequences(sensors, commands, ["position", "velocity"], ["force"])
+    return Records.from_steps(sensors, commands, ["position", "velocity"], ["force"])
 
 
 @own_tau_first
 def test_an_environment_of_somebody_else_is_driven_too(climbs, jump):
-    n = 12
+    n = 30
     sigma = 0.05 * np.array([1.8, 0.14])  # of its position's and velocity's ranges
     seeds = [100 + k for k in range(n)]
-    result = replay(climbs, params(n, sigma), mountain_car(5), seeds, jump=jump)
+    # By the paper's rule replays end ten samples before the flag, and none reaches it.
+    result = replay(climbs, params(n, sigma), mountain_car(5), seeds, jump=jump, last_steps=None)
     assert np.mean(result.ending == "terminated") > 0.9
+    assert result.distance_median.max() < 3
     assert result.reward[result.ending == "terminated"].min() > 80  # 100 at the flag, less its way
-    demonstrated = np.asarray(climbs.lengths) - 11
+    demonstrated = np.asarray(climbs.lengths)
     assert 0.8 * demonstrated.min() < result.steps.min()
     assert result.steps.max() < 1.2 * demonstrated.max()
+
+
+def test_by_the_papers_rule_it_ends_ten_samples_before_the_flag(climbs):
+    sigma = 0.05 * np.array([1.8, 0.14])
+    result = replay(climbs, params(3, sigma), mountain_car(3), [100, 101, 102])
+    assert (result.ending == "completed").all()
 
 
 @pytest.mark.parametrize("mode", [AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP])

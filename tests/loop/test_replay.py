@@ -9,6 +9,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from plane_helpers import OLD
 
 from jaxreplay import Params, Records, build_filter, reference
+from jaxreplay.filter.options import Options
 from jaxreplay.loop import tracker as module
 from jaxreplay.loop.replay import replay
 from jaxreplay.plane.env import PlaneVectorEnv
@@ -121,7 +122,7 @@ def test_a_tracker_widens_a_window_and_narrows_it_again(records, monkeypatch):
     monkeypatch.setattr(module, "WINDOWS", (64,))
     monkeypatch.setattr(module, "RETURN_AFTER", 0)
     monkeypatch.setattr(module, "MARGIN", 30)
-    tracker = module.Tracker(records, params(2), "same_tau")
+    tracker = module.Tracker(records, params(2), Options("same_tau"))
     whole, one = build_filter("same_tau", None), Params(0.1, 0.05, SIGMA)
     belief = whole.predict(records, one, whole.init(records))
     sensors, _ = records.sequences()
@@ -144,7 +145,7 @@ def test_a_replay_restarted_in_a_tracker_is_a_new_one_and_leaves_the_others_alon
     first = params(3)
     later = replace(first, theta_i=np.array([0.1, 0.01, 0.1]))
     tracker, undisturbed, fresh = (
-        module.Tracker(records, p, "own_tau") for p in (first, first, later)
+        module.Tracker(records, p, Options("own_tau")) for p in (first, first, later)
     )
     for t in range(30):
         for each in (tracker, undisturbed):
@@ -152,9 +153,9 @@ def test_a_replay_restarted_in_a_tracker_is_a_new_one_and_leaves_the_others_alon
     tracker.begin(np.array([False, True, False]), later)
     for t in range(30):
         z, new = (np.array([s[at] for s in sensors[:3]]) for at in (30 + t, t))
-        gained, _ = tracker.observe(np.where([[False], [True], [False]], new, z), everyone)
+        gained, *_ = tracker.observe(np.where([[False], [True], [False]], new, z), everyone)
         for whose, same, seen in ((undisturbed, [0, 2], z), (fresh, [1], new)):
-            theirs, _ = whose.observe(seen, everyone)
+            theirs, *_ = whose.observe(seen, everyone)
             np.testing.assert_array_equal(gained[same], theirs[same])
             np.testing.assert_array_equal(tracker.command[same], whose.command[same])
 

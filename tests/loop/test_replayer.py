@@ -50,10 +50,11 @@ def test_it_follows_the_record_it_sees_to_its_end(replayer):
         replayer.command()
         replayer.observe(z)
         if t == 100:
-            record, moment, probability = replayer.following
+            record, moment, probability, distance = replayer.following
             assert record == 1
             assert abs(moment - 101) <= 2
             assert 0 < probability <= 1
+            assert distance < 0.5
     assert replayer.end_probability > 0.9
 
 

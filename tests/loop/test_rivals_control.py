@@ -7,6 +7,7 @@ import pytest
 
 from jaxreplay import Params, Records
 from jaxreplay.errors import ConfigError
+from jaxreplay.filter.options import Options
 from jaxreplay.loop.rivals import CONTROLLERS, controller_named, regression
 
 RIVALS = [name for name in CONTROLLERS if name != "filter"]
@@ -42,7 +43,9 @@ def made(paths):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(regression, "_COMPONENTS", (40,))
         patch.setattr(regression, "_WINDOWS", (1.0,))
-        return {name: controller_named(name)(paths, params(3), "same_tau") for name in RIVALS}
+        return {
+            name: controller_named(name)(paths, params(3), Options("same_tau")) for name in RIVALS
+        }
 
 
 def begun(controller):
@@ -66,7 +69,7 @@ def test_tape_sends_the_nearest_record(made, chosen):
     sensors = [rng.normal(size=(9 + i, 2)) for i in range(4)]
     commands = [rng.normal(size=(9 + i, 3)) for i in range(4)]
     records = Records.from_sequences(sensors, commands)
-    tape = controller_named("tape")(records, params(3), "same_tau")
+    tape = controller_named("tape")(records, params(3), Options("same_tau"))
     tape.begin(np.ones(3, bool), params(3))
     z = np.tile(sensors[chosen][4] + 1e-3, (9 + chosen, 1))
     u, ended = sent(tape, z, np.array([False, True, True]))
@@ -81,7 +84,7 @@ def test_nearest_is_a_search_through_all_rows():
     sensors = [rng.normal(size=(30, 2)) * [1, 100] for _ in range(3)]
     commands = [np.tanh(s[:, :1]) + rng.normal(size=(30, 1)) for s in sensors]
     records = Records.from_sequences(sensors, commands, period=0.5)
-    nearest = controller_named("nearest")(records, params(3), "same_tau")
+    nearest = controller_named("nearest")(records, params(3), Options("same_tau"))
     k = nearest.settings.neighbours
     scale = np.ptp(np.concatenate(sensors), axis=0)
     z = rng.normal(size=(3, 2)) * [1, 100]
@@ -114,7 +117,7 @@ def test_slots_do_not_matter_to_each_other(made, paths, name, monkeypatch):
     np.testing.assert_array_equal(np.array(together), alone[:, 0])
     monkeypatch.setattr(regression, "_COMPONENTS", (40,))
     monkeypatch.setattr(regression, "_WINDOWS", (1.0,))
-    fewer = controller_named(name)(paths, params(1), "same_tau")
+    fewer = controller_named(name)(paths, params(1), Options("same_tau"))
     for t, row in enumerate(z):
         np.testing.assert_array_equal(fewer.command[0], alone[t, 0])
         fewer.observe(row[None], ALL)
@@ -124,7 +127,7 @@ def test_slots_do_not_matter_to_each_other(made, paths, name, monkeypatch):
 def test_a_demonstrated_path_is_followed_to_its_end(made, name):
     controller = begun(made[name])
     if name == "nearest":  # without memory it would stand for ever
-        controller = controller_named(name)(drives(0), params(3), "same_tau")
+        controller = controller_named(name)(drives(0), params(3), Options("same_tau"))
         controller.command[:, 0] = [0.05, -0.05, 0.05]
     position, side = np.zeros(3), np.array([1, -1, 1])
     ended = np.zeros(3, bool)
@@ -154,7 +157,7 @@ def test_a_missing_sensor_keeps_its_value(made, paths, name):
 @pytest.mark.parametrize("name", RIVALS)
 def test_one_record_of_a_few_rows_is_enough(name):
     records = Records.from_sequences([[[0.0, 1.0], [1.0, 1.0], [2.0, 1.0]]], [np.ones((3, 1))])
-    controller = controller_named(name)(records, params(2), "own_tau")
+    controller = controller_named(name)(records, params(2), Options("own_tau"))
     for _ in range(5):
         controller.observe(np.zeros((2, 2)), np.ones(2, bool))
         assert np.isfinite(controller.command).all()
@@ -164,7 +167,7 @@ def test_names_are_imported_on_demand(tmp_path, monkeypatch):
     for name, place in CONTROLLERS.items():
         module, _, attribute = place.partition(":")
         assert controller_named(name) is getattr(sys.modules[module], attribute)
-    (tmp_path / "my_own.py").write_text("def controller(records, params, jump): ...\nvalue = 3")
+    (tmp_path / "my_own.py").write_text("def controller(records, params, options): ...\nvalue = 3")
     (tmp_path / "my_broken.py").write_text("1 / 0")
     monkeypatch.syspath_prepend(tmp_path)
     assert controller_named("my_own:controller").__module__ == "my_own"

@@ -7,6 +7,7 @@ from filter_helpers import both_readings, case, noise, own_tau_first, params_of
 from random_helpers import as_float32
 
 from jaxreplay import Params, Records
+from jaxreplay.filter.options import Options
 from jaxreplay.loop import tracker
 from jaxreplay.loop.audit import audit
 from jaxreplay.loop.lanes import steps
@@ -56,7 +57,7 @@ def tracked(jump, order):
     """What becomes of replays tracked together: the bits of each, and how often one widened."""
     records, params, zs, going, again = replays()
     params = taken(params, order)
-    tracked, lives = Tracker(records, params, jump, NARROW), [b""] * len(order)
+    tracked, lives = Tracker(records, params, Options(jump), NARROW), [b""] * len(order)
     for z, go, restart in zip(zs[:, order], going[:, order], again[:, order], strict=True):
         tracked.begin(restart, params)
         results = *tracked.observe(z, go), tracked.command, tracked.window
@@ -89,7 +90,7 @@ def test_other_values_compile_nothing_new(jump):
     commands = [c[: len(s)] - 1 for c, s in zip(commands, sensors, strict=True)]
     others = Records.from_sequences(sensors, commands)
     params = Params(np.full(REPLAYS, 0.3), np.zeros(REPLAYS), 2 * np.asarray(params.sigma))
-    other = Tracker(others, params, jump, NARROW)
+    other = Tracker(others, params, Options(jump), NARROW)
     for z, go, restart in zip(3 * zs, going, again, strict=True):
         other.begin(restart, params)
         other.observe(z, go)
@@ -134,7 +135,7 @@ CASES = {
 
 def assert_windows_cost_nothing(case, jump):
     records = Records.from_sequences(case.sensors, case.commands)
-    found = audit(records, params_of(case), jump, case.zs)
+    found = audit(records, params_of(case), Options(jump), case.zs)
     assert found.total_variation <= 1e-4
     assert found.command <= 1e-4
 
@@ -156,7 +157,9 @@ def test_windows_cost_nothing(name, jump):
 def test_windows_widen_where_much_is_alike():
     case = CASES["stalled where much is alike"]()
     records = Records.from_sequences(case.sensors, case.commands)
-    tracked = Tracker(records, jax.tree.map(lambda x: x[None], params_of(case)), "same_tau")
+    tracked = Tracker(
+        records, jax.tree.map(lambda x: x[None], params_of(case)), Options("same_tau")
+    )
     for z in case.zs:
         tracked.observe(z[None], np.array([True]))
     assert tracked.widened >= 2

@@ -5,6 +5,7 @@ from random_helpers import random_sequences
 from study_helpers import by_robot
 
 from jaxreplay import Params, Records, reference, replay
+from jaxreplay.filter.options import Options
 from jaxreplay.plane.env import PlaneVectorEnv
 from jaxreplay.plane.params import NOMINAL, SENSOR_RANGES, PlaneParams
 from jaxreplay.plane.positions import DEMONSTRATED, facing
@@ -33,7 +34,9 @@ def options():
 
 @pytest.fixture(scope="module")
 def trace(records, options):
-    return again.trace_of(records, PARAMS, PlaneVectorEnv(1, OLD), "own_tau", SEED, options)
+    return again.trace_of(
+        records, PARAMS, PlaneVectorEnv(1, OLD), Options("own_tau"), SEED, options
+    )
 
 
 def test_a_trace_has_every_step_of_the_replay(records, options, trace):
@@ -76,7 +79,7 @@ def test_beliefs_do_not_depend_on_the_records_offset():
     for by in (0, offset):
         records = Records.from_sequences([walk + by for walk in walks], commands)
         assert any(records.offset) == np.any(by)
-        seen.append(again.beliefs(records, params, "own_tau", walks[0] + by))
+        seen.append(again.beliefs(records, params, Options("own_tau"), walks[0] + by))
     np.testing.assert_allclose(seen[1], seen[0], atol=1e-5)
 
 

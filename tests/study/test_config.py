@@ -48,7 +48,7 @@ def test_a_factor_is_one_value_or_an_axis_in_the_files_order(tmp_path):
     assert given == {
         "theta_tau": 0.05, "sigma": 0.2, "jump": "own_tau", "motor_unit": 0.01, "battery": 1.0,
         "track_bias": 0.12, "placing": 0.01, "heading": 0.1, "cube_turn": 0.1,
-        "taught": "alike", "controller": "filter",
+        "taught": "alike", "controller": "filter", "start": "first", "last_steps": 10,
     }  # fmt: skip
     runs = runs_of(config)
     assert len(runs) == 5 * 2 * 3 * 5 * 3  # … × positions × repeats

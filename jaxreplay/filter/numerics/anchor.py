@@ -65,7 +65,7 @@ def anchor_point(records: Records, params: Params, belief: Scaled, z: jax.Array)
     """
     z, inverse = measured(records, params.sigma, z)
     point = jnp.clip(z, *records.span)
-    i, j = _highest(belief.exponent)
+    i, j = highest(belief.exponent)
     apart = (records.nodes[:, i, j + 1] - z) * inverse
     arguments = (records, inverse, z, belief)
     return jax.lax.cond(
@@ -85,12 +85,12 @@ def _nearest_point(records: Records, inverse: jax.Array, z: jax.Array, belief: S
 
     prior = belief.exponent.astype(z.dtype) * float(np.log(2))
     score = jax.lax.fori_loop(0, records.n_sensors, add, prior)
-    i, j = _highest(jnp.where(belief.mantissa == 0, -jnp.inf, score))
+    i, j = highest(jnp.where(belief.mantissa == 0, -jnp.inf, score))
     nodes = records.nodes
     return _nearest(z, nodes[:, i, j], nodes[:, i, j + 1], nodes[:, i, j + 2])
 
 
-def _highest(values: jax.Array) -> tuple[jax.Array, jax.Array]:
+def highest(values: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Return the row and the column of the first of the highest values."""
     # Not argmax: XLA on CPU fuses it into loops that compute `values` again.
     place = jnp.arange(values.size, dtype=jnp.int32).reshape(values.shape)

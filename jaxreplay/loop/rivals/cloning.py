@@ -7,10 +7,9 @@ from sklearn.exceptions import ConvergenceWarning
 from sklearn.neural_network import MLPRegressor
 from threadpoolctl import threadpool_limits
 
-from jaxreplay.filter.belief import Jump
+from jaxreplay.filter.options import Options
 from jaxreplay.loop.controller import Observed
 from jaxreplay.loop.rivals.slots import (
-    LAST_ROWS,
     FromRecent,
     Rows,
     command_error,
@@ -37,19 +36,19 @@ class Cloning(FromRecent):
     time as a share of the median record, at most 1. Outputs are the next command and t / L. The
     window is the one with the least absolute error of commands on every fourth record, predicted
     from the others. It ends when for one second the predicted progress has exceeded
-    1 − 10 / mean length.
+    1 − 10 (or `last_steps`) / mean length.
 
     Attributes:
         window: rows of recent observations, as chosen.
     """
 
-    def __init__(self, records: Records, params: Params, jump: Jump):
-        """Begin B replays; of the `[B]`-batched params only B is used, and the jump is not."""
-        rows = rows_of(records)
+    def __init__(self, records: Records, params: Params, options: Options):
+        """Begin B replays; of `[B]`-batched params only B is used, of options `last_steps`."""
+        rows = rows_of(records, options.last_steps or 1)
         lengths = np.asarray(records.lengths)
         self.window, self._network = _fit(rows)
         super().__init__(rows, len(params.theta_i), self.window)
-        self._median, self._end = np.median(lengths), 1 - LAST_ROWS / lengths.mean()
+        self._median, self._end = np.median(lengths), 1 - rows.last / lengths.mean()
 
     def observe(self, z: np.ndarray, which: np.ndarray) -> Observed:
         """Predict the next commands and the progress of the slots `which`."""

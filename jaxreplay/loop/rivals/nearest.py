@@ -6,7 +6,7 @@ import numpy as np
 from scipy.spatial import KDTree
 from scipy.spatial.distance import cdist
 
-from jaxreplay.filter.belief import Jump
+from jaxreplay.filter.options import Options
 from jaxreplay.loop.controller import Observed
 from jaxreplay.loop.rivals.slots import (
     FromRecent,
@@ -58,9 +58,9 @@ class NearestRecent(FromRecent):
     _windows: tuple[float, ...] = _WINDOWS
     _clocks: tuple[float, ...] = _CLOCKS
 
-    def __init__(self, records: Records, params: Params, jump: Jump):
-        """Begin B replays; of the `[B]`-batched params only B is used, and the jump is not."""
-        rows = rows_of(records)
+    def __init__(self, records: Records, params: Params, options: Options):
+        """Begin B replays; of `[B]`-batched params only B is used, of options `last_steps`."""
+        rows = rows_of(records, options.last_steps or 1)
         lengths = list(dict.fromkeys(rows.lasting(self._windows)))
         self.settings = choose(rows, lengths, self._clocks)
         super().__init__(rows, len(params.theta_i), self.settings.window)

@@ -7,7 +7,7 @@ from gmr import GMM
 from gmr.mvn import regression_coefficients
 from threadpoolctl import threadpool_limits
 
-from jaxreplay.filter.belief import Jump
+from jaxreplay.filter.options import Options
 from jaxreplay.loop.controller import Observed
 from jaxreplay.loop.rivals.slots import (
     FromRecent,
@@ -54,9 +54,9 @@ class Regression(FromRecent):
         settings: what was chosen.
     """
 
-    def __init__(self, records: Records, params: Params, jump: Jump):
-        """Begin B replays; of the `[B]`-batched params only B is used, and the jump is not."""
-        rows = rows_of(records)
+    def __init__(self, records: Records, params: Params, options: Options):
+        """Begin B replays; of `[B]`-batched params only B is used, of options `last_steps`."""
+        rows = rows_of(records, options.last_steps or 1)
         self.settings, self._principal, self._mixture = _fit(rows)
         super().__init__(rows, len(params.theta_i), self.settings.window)
         self._median = np.median(np.asarray(records.lengths))

@@ -11,7 +11,6 @@ import numpy as np
 from jaxreplay.params import Params
 from jaxreplay.records import Records
 
-LAST_ROWS = 10  # a record's end, as for the filter (§ 2.2.5)
 _APART = 4
 _KEPT = 4  # results that `remembered` keeps
 _Fitted = TypeVar("_Fitted")
@@ -32,6 +31,7 @@ class Rows(NamedTuple):
         scale: `[n_s]` ranges of the sensors in the records, 1 where a sensor never changes.
         mean: `[n_s]` mean observation, divided by the ranges.
         second: rows in a second; 10 if the records' period is unknown.
+        last: rows that count as a record's end, as for the filter (§ 2.2.5).
     """
 
     seen: list[np.ndarray]
@@ -43,6 +43,7 @@ class Rows(NamedTuple):
     scale: np.ndarray
     mean: np.ndarray
     second: int
+    last: int
 
     @property
     def progress(self) -> np.ndarray:
@@ -67,13 +68,13 @@ class Rows(NamedTuple):
 
     @property
     def ends(self) -> np.ndarray:
-        """`[R]` bool, whether a row is one of the last 10 of its record."""
-        return self.row >= self.length - LAST_ROWS
+        """`[R]` bool, whether a row is one of the last of its record."""
+        return self.row >= self.length - self.last
 
 
-def rows_of(records: Records) -> Rows:
-    """Return all rows of the records."""
-    sensors, commands = records.sequences()
+def rows_of(records: Records, last: int) -> Rows:
+    """Return all rows of the records, of which the last ones count as a record's end."""
+    sensors, commands = records.sequences(filled=True)
     low, high = np.asarray(records.span, float)
     scale = np.where(high > low, high - low, 1.0)
     seen = [s / scale for s in sensors]
@@ -88,6 +89,7 @@ def rows_of(records: Records) -> Rows:
         scale=scale,
         mean=np.concatenate(seen).mean(axis=0),
         second=10 if records.period is None else max(round(1 / records.period), 1),
+        last=last,
     )
 
 

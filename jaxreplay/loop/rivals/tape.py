@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from jaxreplay.filter.belief import Jump
+from jaxreplay.filter.options import Options
 from jaxreplay.loop.controller import Observed
 from jaxreplay.loop.rivals.slots import Recent, rows_of
 from jaxreplay.params import Params
@@ -22,9 +22,9 @@ class Tape:
     last.
     """
 
-    def __init__(self, records: Records, params: Params, jump: Jump):
-        """Begin B replays; of the `[B]`-batched params only B is used, and the jump is not."""
-        self._rows = rows_of(records)
+    def __init__(self, records: Records, params: Params, options: Options):
+        """Begin B replays; of the `[B]`-batched params only B is used, of the options none."""
+        self._rows = rows_of(records, options.last_steps or 1)
         self._commands = [u.astype(float) for u in records.sequences()[1]]
         self._lengths = np.array([len(u) for u in self._commands])
         rows = _WAIT_ROWS if records.period is None else max(round(_WAIT / records.period), 1)
