@@ -42,6 +42,8 @@ def _inspect(options: argparse.Namespace) -> None:
     from jaxreplay.recordings.report import report
 
     path = options.out or first_of(options).with_suffix(".png")
+    if options.out is None and path in options.records:
+        raise ConfigError(f"{path}: the figure would take its place; give --out FILE for it")
     if path.suffix[1:] not in FORMATS or path in options.records:
         raise ConfigError(f"--out {path}: its name must end in one of .{', .'.join(FORMATS)}")
     records = recordings(options)

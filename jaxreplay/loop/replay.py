@@ -4,13 +4,13 @@ import warnings
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
-import gymnasium
 import jax
 import numpy as np
-from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector import VectorEnv
 
 from jaxreplay.filter.belief import DEFAULT_JUMP, Jump
 from jaxreplay.filter.options import LAST_STEPS, Start, options_of
+from jaxreplay.loop.checks import check_batch, check_end, check_environment, check_types
 from jaxreplay.loop.controller import Controller, FilterController, MakeController
 from jaxreplay.params import Params
 from jaxreplay.records import Records
@@ -70,7 +70,7 @@ def replay(
     options: Mapping[str, np.ndarray] | None = None,
     keep: Sequence[int] = (),
     progress: Callable[[Replays], None] = lambda so_far: None,
-    controller: MakeController = FilterController,
+    controller: MakeController | str = FilterController,
 ) -> Replays:
     """Replay the records n times in the B slots of an environment.
 
@@ -85,7 +85,7 @@ def replay(
 
     Args:
         records: demonstrations of the environment's observations and actions.
-        params: `[n]`-batched parameters.
+        params: `[n]`-batched parameters, or one set for all.
         env: any Gymnasium vector environment with Box observations and actions whose autoreset
             is disabled. If it has an attribute `resting` (`[B]` bool), slots whose replay has ended
             are set True there, and the environment may skip them; its reset sets them False.
@@ -102,8 +102,13 @@ def replay(
             SyncVectorEnv passes the whole `[B, …]` arrays to each sub-environment.)
         keep: replays whose observations are returned.
         progress: called with the results so far after every control step.
-        controller: constructor of what turns observations into commands, called as
+        controller: what turns observations into commands: the name of one of
+            :data:`jaxreplay.loop.rivals.CONTROLLERS`, or a constructor, called as
             `controller(records, params, options)` (see :mod:`jaxreplay.loop.controller`).
+
+    Returns:
+        How each replay went: how it ended, its steps, reward, evidence and distance, see
+        :class:`Replays`.
 
     Raises:
         ValueError: environment and records do not fit each other, or its autoreset is enabled;
@@ -111,12 +116,22 @@ def replay(
             has no such value.
     """
     choices = options_of(jump, start, last_steps)
-    _check(records, env)
-    _check_batch(records, params, len(seeds), options or {})
+    check_types(records, params)
+    if isinstance(seeds, int):
+        raise ValueError(f"seeds is {seeds}; give a list with one seed for each replay")
+    check_environment(records, env)
+    if np.ndim(params.theta_i) == 0 and np.ndim(params.sigma) == 1:
+        params = jax.tree.map(lambda x: np.broadcast_to(x, (len(seeds), *x.shape)), params)
+    check_batch(records, params, len(seeds), options or {})
+    if isinstance(controller, str):
+        from jaxreplay.loop.rivals import controller_named  # imports this package's controller
+
+        controller = controller_named(controller)
     if period is None and records.period is not None:
         period = getattr(env.unwrapped, "control_period", None)
     if period is not None:
         records = records.resampled(period)
+    check_end(records, last_steps)
     slots = jax.tree.map(lambda x: x[np.zeros(env.num_envs, int)], params)
     made = controller(records, slots, choices)
     loop = _Loop(made, params, env, seeds, options or {}, keep, last_steps)
@@ -270,43 +285,3 @@ def _warn_of_lost(replays: Replays) -> None:
             LostWarning,
             stacklevel=3,
         )
-
-
-def _check_batch(
-    records: Records, params: Params, n: int, options: Mapping[str, np.ndarray]
-) -> None:
-    """Check that parameters and options have a value for each of n replays."""
-    for name, value, wanted in (
-        ("theta_i", params.theta_i, (n,)),
-        ("theta_tau", params.theta_tau, (n,)),
-        ("sigma", params.sigma, (n, records.n_sensors)),
-    ):
-        if np.shape(value) != wanted:
-            raise ValueError(
-                f"{name} has shape {np.shape(value)}; {n} seeds and {records.n_sensors} sensors "
-                f"need {wanted}, a row for each replay"
-            )
-    for name, value in options.items():
-        if np.shape(value)[:1] != (n,):
-            raise ValueError(
-                f"options[{name!r}] has shape {np.shape(value)}; a value for each of {n} seeds is "
-                "needed"
-            )
-
-
-def _check(records: Records, env: VectorEnv) -> None:
-    mode = env.metadata.get("autoreset_mode")
-    if mode != AutoresetMode.DISABLED:
-        raise ValueError(
-            f"the environment's autoreset mode is {mode}; make it with AutoresetMode.DISABLED, so "
-            "that a slot restarts when its replay has ended and not before"
-        )
-    for what, space, wanted in (
-        ("observations", env.single_observation_space, records.n_sensors),
-        ("actions", env.single_action_space, records.n_commands),
-    ):
-        if not isinstance(space, gymnasium.spaces.Box) or space.shape != (wanted,):
-            raise ValueError(
-                f"the environment's {what} are {space}; the records have {wanted} numbers a row, "
-                f"so a Box of shape ({wanted},) is needed"
-            )

@@ -8,6 +8,7 @@ import numpy as np
 
 from jaxreplay.filter.belief import DEFAULT_JUMP, Jump
 from jaxreplay.filter.options import LAST_STEPS, Start, options_of
+from jaxreplay.loop.checks import check_end, check_types
 from jaxreplay.loop.tracker import Tracker
 from jaxreplay.params import Params
 from jaxreplay.records import Records
@@ -80,6 +81,7 @@ class Replayer:
         check_fit(records, params)
         if period is not None:
             records = records.resampled(period)
+        check_end(records, last_steps)
         self._records = records
         self._tracker = Tracker(records, jax.tree.map(lambda x: x[None], params), options)
         self._tracker.compile()
@@ -168,6 +170,7 @@ def check_fit(records: Records, params: Params) -> None:
     Raises:
         ValueError: not one set of parameters, or not one σ per sensor.
     """
+    check_types(records, params)
     sigma = np.asarray(params.sigma)
     if np.ndim(params.theta_i) or np.ndim(params.theta_tau) or sigma.shape != (records.n_sensors,):
         raise ValueError(

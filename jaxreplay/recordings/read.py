@@ -1,7 +1,7 @@
 """Records from a user's files, of whatever format."""
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from glob import glob
 from pathlib import Path
 from typing import Literal
@@ -14,6 +14,8 @@ from jaxreplay.recordings.formats.parquet import INFO, read_parquet
 from jaxreplay.recordings.formats.recording import Recording, Wanted
 from jaxreplay.recordings.formats.times import at_one_rate
 from jaxreplay.records import Records
+from jaxreplay.records.arrays import both, one_row_later
+from jaxreplay.records.resample import resample
 
 FORMATS: dict[str, Callable[[Path, Wanted], Recording]] = {  # by the suffix of a file
     ".npz": read_npz,
@@ -67,8 +69,8 @@ def read(
             is not as in the table.
 
     Warns:
-        UserWarning: episodes of another rate than the first are resampled, observations linearly
-            and commands with their previous value.
+        UserWarning: no period is given, and episodes of another rate than the first are resampled
+            (see :mod:`jaxreplay.records.resample`).
 
     Raises:
         ConfigError: a file is missing, cannot be read or lacks a column of a name; times are
@@ -96,11 +98,13 @@ def files_of(path: str | Path | Sequence[str | Path]) -> list[Path]:
     Raises:
         ConfigError: there is none, or a folder has files of several formats.
     """
-    if not isinstance(path, str | Path):
+    if not isinstance(path, str | Path | Mapping):
         files = [file for each in path for file in files_of(each)]
         if not files:
             raise ConfigError("no file is given; give at least one")
         return files
+    if isinstance(path, Mapping):
+        raise ConfigError("the path is a dict; give a file's path, or a list of paths")
     given = Path(path)
     if given.is_dir():
         return _files_in(given)
@@ -158,13 +162,16 @@ def _records(
         angles=[part.name for part in chosen.angles],
     )
     recordings += [reader(file, wanted) for file in files[1:]]
-    episodes, period = at_one_rate([e for r in recordings for e in r.episodes], period)
+    episodes, ratios, period = at_one_rate([e for r in recordings for e in r.episodes], period)
     order = recordings[0].observed if observed is None else observed
-    build = Records.from_steps if order == "before" else Records.from_sequences
+    aligned = one_row_later if order == "before" else both
     try:
-        return build(
-            [episode.observations for episode in episodes],
-            [episode.actions for episode in episodes],
+        rows = aligned([e.observations for e in episodes], [e.actions for e in episodes])
+        each = zip(*rows, ratios, strict=True)
+        pairs = [(s, c) if ratio == 1 else resample(s, c, ratio) for s, c, ratio in each]
+        return Records.from_sequences(
+            [s for s, _ in pairs],
+            [c for _, c in pairs],
             chosen.sensor_names(),
             chosen.command_names(),
             period,

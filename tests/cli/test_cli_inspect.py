@@ -48,7 +48,7 @@ def test_it_scores_records_unless_it_shall_be_quick(tmp_path, capsys):
             ["demos.npz", "--out", "shown.gif"],
             r"--out shown\.gif: its name must end in one of \.png",
         ),
-        (["demos.png"], r"--out demos\.png: its name must"),
+        (["demos.png"], r"demos\.png: the figure would take its place; give --out"),
         (["demos.npz", "--out", "text.npz/shown.png"], "text.npz"),
     ],
 )

@@ -11,6 +11,7 @@ from filter_helpers import both_readings
 from gymnasium.vector import AutoresetMode, VectorEnv
 
 from jaxreplay import Params, Records, Replayer, build_filter, log_evidence, reference, replay
+from jaxreplay.errors import ConfigError
 from jaxreplay.loop.replay import LostWarning
 
 ROWS = 39
@@ -89,6 +90,41 @@ def test_options_without_such_a_value_are_refused(name):
         Replayer(ways(), Params(0.01, 0.05, SIGMA), **{name: bad})
     with pytest.raises(ValueError, match=f"{name} must be .*; got {bad!r}"):
         replay(ways(), parameters(1), Line(), [0], **{name: bad})
+
+
+def test_an_end_as_long_as_the_records_is_refused():
+    with pytest.raises(ValueError, match="the longest record has 39 rows: every replay would end"):
+        Replayer(ways(), Params(0.01, 0.05, SIGMA), last_steps=39)
+    with pytest.raises(ValueError, match="the longest record has 39 rows"):
+        replay(ways(), parameters(1), Line(), [0], last_steps=40)
+
+
+def test_what_is_no_records_params_seeds_or_vector_environment_is_refused():
+    records, params = ways(), Params(0.01, 0.05, SIGMA)
+    for given, message in (
+        (({"x": 1}, params), "records is a dict; make them with"),
+        ((records, {"sigma": 1}), "params is a dict; make them with jr.Params"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            Replayer(*given)
+        with pytest.raises(ValueError, match=message):
+            replay(*given, Line(), [0])
+    with pytest.raises(ValueError, match="seeds is 4; give a list"):
+        replay(records, params, Line(), 4)
+    with pytest.raises(ValueError, match="not a vector environment; make it with"):
+        replay(records, params, gymnasium.make("MountainCarContinuous-v0"), [0])
+    with pytest.raises(ConfigError, match="no controller neerest; did you mean nearest"):
+        replay(records, params, Line(), [0], controller="neerest")
+
+
+def test_one_set_of_parameters_serves_all_replays_and_controllers_have_names():
+    one, records = Params(0.01, 0.05, SIGMA), ways()
+    filtered = replay(records, one, Line(2), range(3), last_steps=1)
+    np.testing.assert_array_equal(
+        filtered.steps, replay(records, parameters(3), Line(2), range(3), last_steps=1).steps
+    )
+    taped = replay(records, one, Line(2), range(3), controller="tape")
+    assert (taped.ending == "completed").all()
 
 
 @both_readings

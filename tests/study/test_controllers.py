@@ -16,7 +16,7 @@ pytestmark = pytest.mark.usefixtures("fewer_windows")
 class Still:
     """A controller of somebody's own: it stands still and ends after 30 steps."""
 
-    def __init__(self, records, params, jump):
+    def __init__(self, records, params, options):
         self.command = np.zeros((len(params.theta_i), records.n_commands))
         self.steps = np.zeros(len(params.theta_i), int)
 

@@ -1,6 +1,7 @@
 """CSV: a line of names, then a line of numbers for each row."""
 
 import csv
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -43,11 +44,20 @@ def read_csv(path: Path, wanted: Wanted) -> Recording:
             values[name] = np.array([_number(line[k], path, n, name) for n, line in cells])
         return values[name]
 
+    def sent(name: str, rows: np.ndarray) -> np.ndarray:
+        empty = np.flatnonzero(np.isnan(column(name)[rows]))
+        if len(empty):
+            raise ConfigError(
+                f"{path}, line {numbers_of[rows[empty[0]]]}: command {name} is empty; fill it in, "
+                "or leave the row out"
+            )
+        return column(name)[rows]
+
     found = []
     for where, rows in episodes.items():
         time = None if wanted.time is None else column(wanted.time)[rows]
         load = lambda name, rows=rows: column(name)[rows]  # noqa: E731
-        found.append(gather(selection, where, load, load, time))
+        found.append(gather(selection, where, load, partial(sent, rows=rows), time))
     return Recording(selection, found, "after")
 
 
@@ -61,6 +71,8 @@ def _table(path: Path) -> tuple[list[str], list[int], list[list[str]]]:
             for line in reader:
                 if not line:
                     continue
+                if len(header) == 1 and header[0].count(";") > 0:
+                    raise ConfigError(f"{path}: its cells are separated by ';'; write commas")
                 if len(line) != len(header):
                     raise ConfigError(
                         f"{path}, line {reader.line_num}: {len(line)} cells, but line 1 names "
@@ -68,8 +80,11 @@ def _table(path: Path) -> tuple[list[str], list[int], list[list[str]]]:
                     )
                 numbers.append(reader.line_num)
                 lines.append(line)
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise ConfigError(f"{path}: is not a CSV file in UTF-8: {error}") from None
+    except (UnicodeDecodeError, csv.Error):
+        raise ConfigError(
+            f"{path}: is not a CSV file: a line of names and rows of numbers in UTF-8, separated "
+            "by commas"
+        ) from None
     if not header or all(_is_number(name) for name in header):
         raise ConfigError(f"{path}, line 1: the first line must name the columns, as in t,x,u")
     if len(set(header)) < len(header):

@@ -1,12 +1,12 @@
 """The time between rows of episodes, checked, and made the same in all."""
 
 import warnings
-from numbers import Real
 from typing import NamedTuple
 
 import numpy as np
 
 from jaxreplay.recordings.formats.recording import Episode
+from jaxreplay.records.arrays import check_period
 
 EVEN = 0.01  # how far a step may be off the median, as a share of it; also two rates that are one
 
@@ -25,38 +25,38 @@ class Rate(NamedTuple):
 
 def at_one_rate(
     episodes: list[Episode], period: float | None
-) -> tuple[list[Episode], float | None]:
-    """Return episodes with the same time between rows, and that time in s; None if unknown.
+) -> tuple[list[Episode], list[float], float | None]:
+    """Return episodes whose rows are evenly spaced, their ratios to one period, and that in s.
 
-    It is `period`, or else that of the first episode that has one. An episode off it by more than
-    1 % is resampled, with a warning: observations linearly, commands with their previous value.
+    The period is the one given, or else that of the first episode that has one, or None if none
+    has. A ratio is this period divided by the episode's own; 1 where they differ by less than 1 %.
+    Episodes of uneven steps are resampled here, observations linearly and commands with their
+    previous value; the others are to be resampled once their rows are aligned.
 
     Raises:
         ValueError: times do not increase, or their steps are uneven and no period is given.
     """
-    if period is not None and not (isinstance(period, Real) and 0 < period < np.inf):
-        raise ValueError(f"period must be a positive number of seconds; got {period!r}")
+    check_period(period)
     rates = [_rate(episode, uneven=period is not None) for episode in episodes]
     known = [rate.period for rate in rates if rate.period is not None]
     if not known:
-        return episodes, period
+        return episodes, [1.0] * len(episodes), period
     target = known[0] if period is None else period
-    off = [
-        rate.period is not None and not (rate.even and abs(rate.period / target - 1) <= EVEN)
-        for rate in rates
+    even = [
+        episode if rate.even or not rate.period else _resampled(episode, target)
+        for episode, rate in zip(episodes, rates, strict=True)
     ]
-    if any(off):
-        i = off.index(True)
+    ratios = [target / r.period if r.even and r.period else 1.0 for r in rates]
+    ratios = [1.0 if abs(ratio - 1) <= EVEN else ratio for ratio in ratios]
+    off = [i for i, ratio in enumerate(ratios) if ratio != 1]
+    if off and period is None:
+        i = off[0]
         warnings.warn(
-            f"{sum(off)} of {len(off)} episodes resampled to {target:g} s between rows, the first "
-            f"{episodes[i].where} from {rates[i].period:g} s: observations linearly, commands with "
-            "their previous value",
+            f"{len(off)} of {len(episodes)} episodes resampled to {target:g} s between rows, the "
+            f"first {episodes[i].where} from {rates[i].period:g} s",
             stacklevel=4,
         )
-    return [
-        _resampled(episode, rate.period, target) if moved and rate.period else episode
-        for episode, rate, moved in zip(episodes, rates, off, strict=True)
-    ], target
+    return even, ratios, target
 
 
 def _rate(episode: Episode, uneven: bool) -> Rate:
@@ -86,9 +86,11 @@ def _rate(episode: Episode, uneven: bool) -> Rate:
     return Rate(median if len(far) else mean, not len(far))
 
 
-def _resampled(episode: Episode, period: float, target: float) -> Episode:
+def _resampled(episode: Episode, target: float) -> Episode:
+    """Return an episode that has times with rows `target` s apart."""
+    assert episode.time is not None
     n, m = len(episode.observations), len(episode.actions)
-    time = np.arange(n) * period if episode.time is None else episode.time - episode.time[0]
+    time = episode.time - episode.time[0]
     near = 1e-3 * target  # times are rounded, LeRobot's to float32
     grid = np.arange(int((time[-1] + near) / target) + 1) * target
     seen = [np.interp(grid, time, column) for column in episode.observations.T]
