@@ -7,7 +7,13 @@ import numpy as np
 
 from jaxreplay.recordings.findings import findings_of
 from jaxreplay.recordings.findings.finding import Column, Finding, measured
-from jaxreplay.recordings.findings.prediction import Prediction, predict, shifted, unpredicted
+from jaxreplay.recordings.findings.prediction import (
+    Prediction,
+    predict,
+    shifted,
+    unlike,
+    unpredicted,
+)
 from jaxreplay.records import Records
 
 
@@ -55,7 +61,7 @@ def inspect(
     findings = list(findings_of(rows, columns))
     prediction = predict(records, progress) if scores else None
     if prediction is not None:
-        findings += [*unpredicted(prediction), *shifted(prediction)]
+        findings += [*unpredicted(prediction), *unlike(prediction), *shifted(prediction)]
     lengths = np.array([len(r) for r in rows])
     return Inspection(lengths, records.period, columns, findings, prediction)
 

@@ -5,7 +5,7 @@ from recordings_helpers import sequences
 from jaxreplay import Records
 from jaxreplay.plane.params import PlaneParams
 from jaxreplay.plane.positions import DEMONSTRATED
-from jaxreplay.recordings.findings.prediction import predict, shifted, unpredicted
+from jaxreplay.recordings.findings.prediction import predict, shifted, unlike, unpredicted
 from jaxreplay.recordings.inspect import inspect
 from jaxreplay.recordings.report import report
 from jaxreplay.study.demonstrations import record
@@ -28,7 +28,7 @@ def paths(n=6):
 def test_ordinary_records_are_predicted():
     prediction = predict(Records.from_sequences(*paths()))
     assert prediction is not None
-    assert [*unpredicted(prediction), *shifted(prediction)] == []
+    assert [*unpredicted(prediction), *unlike(prediction), *shifted(prediction)] == []
 
 
 @pytest.mark.parametrize("mistake", ["columns swapped", "sign flipped", "other units"])
@@ -44,6 +44,8 @@ def test_a_record_unlike_the_others_is_found(mistake):
     about = [f for f in inspection.findings if "predict the commands far worse" in f.text]
     assert [f.records for f in about] == [(2,)]
     assert "record 2 (" in about[0].text
+    unlikely = [f.records for f in inspection.findings if "far less probable" in f.text]
+    assert unlikely == ([] if mistake == "sign flipped" else [(2,)])  # flipped are its commands
 
 
 def reactions(late):

@@ -17,6 +17,9 @@ from jaxreplay.records import Records
 # worse, which in small sets comes to 3 times the median. Of three records it is taken all the same,
 # as the quartile would contain the bad one.
 FAR, FAR_ERROR = 1.8, 0.01
+# A record is unlike the others if its log evidence is this much below their median, in nats per
+# row. On the plane the lowest of 20 is 0.9 below it (seeds 0 to 2), of 4 up to 16.
+UNLIKE = 20.0
 BAD = 0.1  # share of records whose lowest and highest values do not count for σ, at least one
 SHIFTS = {-1: "late", 1: "early"}  # of commands by so many rows, and what they are unshifted
 SHIFTED_RECORDS = 10  # at most so many are left out to compare shifts, evenly spread
@@ -85,6 +88,21 @@ def unpredicted(prediction: Prediction) -> Iterator[Finding]:
             f"commands far worse than usual ({usual:.1%} of their range is the "
             f"{'upper quartile' if len(errors) > FEW else 'median'}); columns swapped, other "
             "units, signs flipped, commands shifted, or another task? correct or leave out",
+            tuple(far.tolist()),
+        )
+
+
+def unlike(prediction: Prediction) -> Iterator[Finding]:
+    """Find records whose observations the others find far less probable than usual."""
+    evidence = prediction.scores.log_evidence_each[0]
+    usual = float(np.median(evidence))
+    far = np.flatnonzero(evidence < usual - UNLIKE)
+    if len(far):
+        yield Finding(
+            f"{listed({int(i): f'{evidence[i]:.1f}' for i in far})}: the other records find the "
+            f"observations far less probable than usual (log evidence per row; the median is "
+            f"{usual:.1f}); columns swapped, other units, signs flipped, or another task? correct "
+            "or leave out",
             tuple(far.tolist()),
         )
 
