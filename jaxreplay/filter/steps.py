@@ -48,9 +48,10 @@ def init(
         raise ValueError(f"a start anywhere needs window=None, all samples; got {window}")
     column = jnp.arange(window or records.longest)[None]
     samples = records.lengths if start == "anywhere" else jnp.ones_like(records.lengths)
-    p = jnp.where(column < samples[:, None], 1 / (records.n_records * samples[:, None]), 0.0)
+    share = 1 / (records.n_records * samples[:, None].astype(records.nodes.dtype))
+    p = jnp.where(column < samples[:, None], share, 0.0)
     return Belief(
-        p=scaled(p.astype(records.nodes.dtype)),
+        p=scaled(p),
         start=jnp.zeros(() if jump == "same_tau" else records.n_records, jnp.int32),
         dropped=jnp.asarray(NOTHING_DROPPED, jnp.int32),
         jump=jump,
