@@ -12,17 +12,18 @@ whose observation is nearest, each sensor divided by its range.
 
 import argparse
 
+import jax
 import numpy as np
 
-from jaxreplay import Params, Records
+from jaxreplay import Records
 from jaxreplay.filter.options import Options, Start
 from jaxreplay.loop.tracker import Tracker
 from jaxreplay.plane.params import PlaneParams
 from jaxreplay.plane.positions import DEMONSTRATED
-from jaxreplay.recordings.scores import leave_out
+from jaxreplay.recordings.scores import default_params, leave_out, sensor_span
+from jaxreplay.records.columns import command_range
 from jaxreplay.study.demonstrations import record
 
-THETA_I, THETA_TAU, SIGMA = 0.1, 0.05, 0.1
 SECONDS = (0.1, 1.0, 3.0)
 WAYS = ("from the beginning", "anywhere", "first", "nearest row")
 
@@ -56,7 +57,8 @@ def errors_of(records: Records, i: int, each: int) -> dict[str, np.ndarray]:
     after = np.round(np.array(SECONDS) / records.period).astype(int)
     last = len(sensors[i]) - after[-1] - 1
     starts = np.linspace(0, last, each + 2)[1:-1].astype(int)
-    width, wanted = np.ptp(np.concatenate(commands), axis=0), commands[i]
+    width = np.ptp(command_range(records.commands, records.lengths), axis=0)
+    wanted = commands[i]
 
     def error(sent: np.ndarray, row: int) -> float:
         return float(np.mean(np.abs(sent - wanted[row])[width > 0] / width[width > 0]))
@@ -73,8 +75,8 @@ def _filtered(
     others: Records, seen: np.ndarray, begins, starts, after, error, start: Start = "first"
 ) -> np.ndarray:
     """Filter from the rows `begins` on; return mean errors `after` the rows `starts`."""
-    n, sigma = len(starts), SIGMA * np.ptp(np.asarray(others.span, float), axis=0)
-    params = Params(np.full(n, THETA_I), np.full(n, THETA_TAU), np.tile(sigma, (n, 1)))
+    n, one = len(starts), default_params(others)
+    params = jax.tree.map(lambda x: np.broadcast_to(x, (n, *x.shape)), one)
     tracker = Tracker(others, params, Options(start=start))
     errors = np.zeros((n, len(after)))
     begins, ends = np.array(begins), np.array(starts) + after[-1]
@@ -93,7 +95,7 @@ def _nearest(others: Records, seen: np.ndarray, starts, after, error) -> np.ndar
     sensors, commands = others.sequences()
     rows = np.concatenate([s[:-1] for s in sensors])
     following = np.concatenate([u[1:] for u in commands])
-    width = np.ptp(np.asarray(others.span, float), axis=0)
+    width = sensor_span(others)
     errors = [
         [
             error(following[(((rows - seen[s + a - 1]) / width) ** 2).sum(axis=1).argmin()], s + a)

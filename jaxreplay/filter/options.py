@@ -26,6 +26,11 @@ class Options(NamedTuple):
     start: Start = "first"
     last_steps: int | None = LAST_STEPS
 
+    @property
+    def counted(self) -> int:
+        """Samples at a record's end that the end probability is of."""
+        return self.last_steps or 1
+
 
 def options_of(jump: Any, start: Any = "first", last_steps: Any = LAST_STEPS) -> Options:
     """Return checked options.

@@ -10,6 +10,7 @@ from jaxreplay.filter.options import Options
 from jaxreplay.loop.tracker import LANES, Tracker
 from jaxreplay.params import Params
 from jaxreplay.records import Records
+from jaxreplay.records.columns import command_range
 
 
 class Audit(NamedTuple):
@@ -36,8 +37,7 @@ def audit(records: Records, params: Params, options: Options, observations: np.n
     # As many lanes as a study has, all but one idle, so that the same compiled programs serve.
     batch = jax.tree.map(lambda x: np.stack([x] * LANES), params)
     windowed, complete = (Tracker(records, batch, options, windows) for windows in (None, ()))
-    commands = np.concatenate(records.sequences()[1])
-    span = np.ptp(commands, axis=0)
+    span = np.ptp(command_range(records.commands, records.lengths), axis=0)
     span[span == 0] = 1
     first, worst = np.arange(LANES) == 0, np.zeros(2)
     for z in observations:

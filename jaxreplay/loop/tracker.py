@@ -16,6 +16,7 @@ from jaxreplay.loop.lanes import Steps, lane, results_of, steps
 from jaxreplay.machine import cores
 from jaxreplay.params import Params
 from jaxreplay.records import Records
+from jaxreplay.records.columns import command_range
 
 # Widths of windows to choose from, in samples of a record, besides all samples. With twice as many
 # widths a study took as long: replays of each width are a call of their own.
@@ -92,10 +93,8 @@ class Tracker:
         self.options = options
         self.windows = windows_for(records, windows)
         self._centred = records.centred()
-        self._last_steps = np.int32(options.last_steps or 1)
-        self.start_from(options.start)
-        recorded = np.concatenate(records.sequences()[1])
-        self._lowest, self._highest = recorded.min(axis=0), recorded.max(axis=0)
+        self._last_steps = np.int32(options.counted)
+        self._lowest, self._highest = command_range(records.commands, records.lengths)
         n = len(params.theta_i)
         self.command = np.zeros((n, records.n_commands))
         self.window, self.widened, self._observed = np.zeros((3, n), int)
@@ -107,8 +106,6 @@ class Tracker:
     def start_from(self, start: Start) -> None:
         """Let replays that begin from now on start there."""
         self.options = self.options._replace(start=start)
-        # A start anywhere needs all samples, which the last of the windows stores.
-        self._first = 0 if start == "first" else len(self.windows) - 1
 
     def begin(self, which: np.ndarray, params: Params) -> None:
         """Begin replays where they start, see :class:`jaxreplay.filter.options.Options`.
@@ -124,7 +121,8 @@ class Tracker:
         limit = np.maximum(-RETURN_AFTER * most - MARGIN, LOWEST - 1)
         self.droppable = limit.astype(np.int32)
         self._params = jax.tree.map(jnp.asarray, params)  # copied to the device once
-        k = self._first
+        # A start anywhere needs all samples, which the last of the windows stores.
+        k = 0 if self.options.start == "first" else len(self.windows) - 1
         begin = self._steps(k).begin
         self._beliefs[k] = begin(
             self._centred, self._stored_beliefs(k), _chosen(which), self.options.start

@@ -21,6 +21,7 @@ from jaxreplay.loop.tracker import Tracker
 from jaxreplay.machine import cores
 from jaxreplay.params import Params
 from jaxreplay.records import Records
+from jaxreplay.records.columns import command_range
 
 
 class Scores(NamedTuple):
@@ -130,7 +131,7 @@ def command_scale(records: Records) -> np.ndarray:
     So the sum of the squared scaled errors is the mean square error of the m commands, each as a
     share of its range in the records.
     """
-    span = np.ptp(np.concatenate(records.sequences()[1]), axis=0)
+    span = np.ptp(command_range(records.commands, records.lengths), axis=0)
     changes = span > 0
     scale = changes / np.where(changes, span, 1.0) / np.sqrt(max(changes.sum(), 1))
     return scale.astype(records.commands.dtype)

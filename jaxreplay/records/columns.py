@@ -2,12 +2,25 @@
 
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
 from jaxreplay.records.arrays import cast, extend, offset_of
 from jaxreplay.records.long import longest_first
 from jaxreplay.records.missing import filled
+
+
+def command_range(commands: jax.Array, lengths: jax.Array) -> np.ndarray:
+    """Return the lowest and the highest of each command, `[2, n_u]`, without the padding.
+
+    Args:
+        commands: `[n_u, N, L]`, as in :class:`Records`.
+        lengths: `[N]`.
+    """
+    inside = np.arange(commands.shape[-1]) < np.asarray(lengths)[:, None]
+    recorded = np.asarray(commands)[:, inside]
+    return np.stack([recorded.min(axis=1), recorded.max(axis=1)])
 
 
 def columns_of(

@@ -44,7 +44,7 @@ class Cloning(FromRecent):
 
     def __init__(self, records: Records, params: Params, options: Options):
         """Begin B replays; of `[B]`-batched params only B is used, of options `last_steps`."""
-        rows = rows_of(records, options.last_steps or 1)
+        rows = rows_of(records, options.counted)
         lengths = np.asarray(records.lengths)
         self.window, self._network = _fit(rows)
         super().__init__(rows, len(params.theta_i), self.window)

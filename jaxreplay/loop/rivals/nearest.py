@@ -60,7 +60,7 @@ class NearestRecent(FromRecent):
 
     def __init__(self, records: Records, params: Params, options: Options):
         """Begin B replays; of `[B]`-batched params only B is used, of options `last_steps`."""
-        rows = rows_of(records, options.last_steps or 1)
+        rows = rows_of(records, options.counted)
         lengths = list(dict.fromkeys(rows.lasting(self._windows)))
         self.settings = choose(rows, lengths, self._clocks)
         super().__init__(rows, len(params.theta_i), self.settings.window)

@@ -56,7 +56,7 @@ class Regression(FromRecent):
 
     def __init__(self, records: Records, params: Params, options: Options):
         """Begin B replays; of `[B]`-batched params only B is used, of options `last_steps`."""
-        rows = rows_of(records, options.last_steps or 1)
+        rows = rows_of(records, options.counted)
         self.settings, self._principal, self._mixture = _fit(rows)
         super().__init__(rows, len(params.theta_i), self.settings.window)
         self._median = np.median(np.asarray(records.lengths))

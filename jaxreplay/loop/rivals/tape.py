@@ -24,7 +24,7 @@ class Tape:
 
     def __init__(self, records: Records, params: Params, options: Options):
         """Begin B replays; of the `[B]`-batched params only B is used, of the options none."""
-        self._rows = rows_of(records, options.last_steps or 1)
+        self._rows = rows_of(records, options.counted)
         self._commands = [u.astype(float) for u in records.sequences()[1]]
         self._lengths = np.array([len(u) for u in self._commands])
         rows = _WAIT_ROWS if records.period is None else max(round(_WAIT / records.period), 1)
