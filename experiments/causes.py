@@ -42,7 +42,7 @@ from jaxreplay.plane.options import seed_of
 from jaxreplay.plane.params import NOMINAL, SENSOR_RANGES, PlaneParams
 from jaxreplay.plane.positions import DEMONSTRATED, facing
 from jaxreplay.study.demonstrations import record
-from jaxreplay.study.shard import outcomes
+from jaxreplay.study.worlds.plane import Plane
 
 SEED = 2012
 SLOTS = 56
@@ -128,7 +128,7 @@ def run(
         options=options,
         controller=partial(FilterController, tracker=variant.tracker),
     )
-    return outcomes(replays).tolist()
+    return Plane.outcome(replays).tolist()
 
 
 def in_step(records: Records) -> Records:

@@ -20,7 +20,8 @@ import jaxreplay as jr
 from jaxreplay.figures.table import rate, short
 from jaxreplay.plane.params import PlaneParams
 from jaxreplay.plane.positions import DEMONSTRATED
-from jaxreplay.study.dataset import STALLS, cells
+from jaxreplay.study.dataset import cells
+from jaxreplay.study.worlds.plane import STALLS
 
 WIDE = (10**-2.05, 10**-0.45)  # the paper's range of good θ_I
 JUMPS = ("same_tau", "own_tau")

@@ -31,7 +31,7 @@ from jaxreplay.records import Records
 from jaxreplay.study.config import load_config
 from jaxreplay.study.demonstrations import demonstrations
 from jaxreplay.study.runs import records_of, runs_of, settings_of, shards_of
-from jaxreplay.study.shard import outcomes, replays_of
+from jaxreplay.study.shard import replays_of
 
 STUDY = Path(__file__).with_name("theta_i.toml")
 PIECE = 1.0  # s
@@ -54,9 +54,9 @@ def main():
     for which in shards_of(config, runs, 56):
         ours = runs.of(which)
         replays = replays_of(config, robots, ours, range(len(ours)))
-        params, *_ = settings_of(config, ours)
+        params, *_ = settings_of(config, robots, ours)
         theirs = records_of(config, robots, ours)
-        won[which] = outcomes(replays) == "S"
+        won[which] = config.world.outcome(replays) == "S"
         for k, run in enumerate(which):
             its = jax.tree.map(lambda x, k=k: x[k], params)
             seen = np.array(replays.observations[k])

@@ -19,10 +19,10 @@ from jaxreplay.machine import keep_compiled
 from jaxreplay.plane.params import PlaneParams
 from jaxreplay.plane.stall import STALL_SECONDS
 from jaxreplay.study.again import run_again
-from jaxreplay.study.dataset import STALLS
 from jaxreplay.study.demonstrations import demonstrations
 from jaxreplay.study.open import config_of, open_study
 from jaxreplay.study.runs import runs_of
+from jaxreplay.study.worlds.plane import STALLS
 
 PERIOD = PlaneParams().control_period
 FOLLOWED = 0.05  # p(I) above which a record counts as followed

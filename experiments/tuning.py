@@ -94,8 +94,9 @@ def scored(folder: Path, held_out: int) -> Cells:
     if len(done) == 0:
         raise ValueError(f"{folder}: none of its runs is finished")
     first, outcome = first.of(done), outcome[done]
-    params, *_ = settings_of(config, first)
-    records = records_of(config, demonstrations(config, folder), first)
+    taught = demonstrations(config, folder)
+    params, *_ = settings_of(config, taught, first)
+    records = records_of(config, taught, first)
     chosen = np.unique(np.linspace(0, records.n_records - 1, held_out).round().astype(int))
     with tqdm(desc=f"{len(done)} cells", unit="step", disable=None) as bar:
 

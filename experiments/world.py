@@ -19,7 +19,7 @@ from jaxreplay.plane.params import PlaneParams
 from jaxreplay.plane.positions import DEMONSTRATED, facing
 from jaxreplay.plane.teacher import demonstrate
 from jaxreplay.study.demonstrations import record
-from jaxreplay.study.shard import outcomes
+from jaxreplay.study.worlds.plane import Plane
 
 AHEAD, ASIDE = np.linspace(0.26, 0.39, 20), np.linspace(-0.09, 0.09, 15)
 
@@ -58,7 +58,8 @@ def tape(plane: PlaneParams, seed: int) -> np.ndarray:
     cubes = {"cube": facing(np.column_stack([x, y]))}
     records, env = record(plane, DEMONSTRATED, seed), PlaneVectorEnv(n, plane)
     blind = controller_named("tape")
-    return outcomes(replay(records, params, env, seeds, options=cubes, controller=blind)) == "S"
+    replays = replay(records, params, env, seeds, options=cubes, controller=blind)
+    return Plane.outcome(replays) == "S"
 
 
 if __name__ == "__main__":

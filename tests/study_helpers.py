@@ -11,9 +11,13 @@ from jaxreplay.plane.positions import DEMONSTRATED
 from jaxreplay.records import Records
 from jaxreplay.study import store
 from jaxreplay.study.config import load_config
-from jaxreplay.study.dataset import OUTCOMES, STALLS, VARIABLES
+from jaxreplay.study.dataset import variables_of
 from jaxreplay.study.demonstrations import record
 from jaxreplay.study.runs import runs_of, shard_size, shards_of, taught_by
+from jaxreplay.study.worlds.plane import OUTCOMES, STALLS
+from jaxreplay.study.worlds.plane import VARIABLES as OWN
+
+VARIABLES = variables_of(OUTCOMES, OWN)  # of a study on the plane
 
 SMALL = """
 seed = 4
@@ -88,7 +92,7 @@ def made_up_study(config, folder, seed=0, **manifest):
     rng = np.random.default_rng(seed)
     for k, which in enumerate(shards_of(config, runs, size)):
         n = len(which)
-        outcome = rng.choice(OUTCOMES, n)
+        outcome = rng.choice(list(OUTCOMES), n)
         results = {name: rng.uniform(1, 100, n) for name in VARIABLES} | {
             "outcome": outcome,
             "stall": np.where(outcome == "Fs", rng.choice(STALLS, n), ""),

@@ -67,15 +67,14 @@ def _run(options: argparse.Namespace) -> None:
     from jaxreplay.figures.draw import draw
     from jaxreplay.figures.table import table
     from jaxreplay.machine import keep_compiled
-    from jaxreplay.study.config import load_config, tuned_changes
+    from jaxreplay.study.config import load_config
     from jaxreplay.study.run import run_study
     from jaxreplay.study.runs import runs_of, shard_size, shards_of
     from jaxreplay.study.store import check_format
 
     check_file(options.file)
     keep_compiled()
-    tuned = tuned_changes(options.params) if options.params else []
-    config = load_config(options.file, tuned + options.changes)
+    config = load_config(options.file, options.changes, options.params)
     folder = options.out or Path("results") / options.file.stem
     if folder.exists() and not folder.is_dir():
         raise ConfigError(f"--out {folder} is a file; give a folder")

@@ -40,14 +40,16 @@ def _show(options: argparse.Namespace) -> None:
 def _rows(dataset: "xr.Dataset") -> "Iterator[tuple]":
     """Yield the names of the columns, then the values of each run; a missing value is empty.
 
-    Columns are the factors that vary, position, cube_x and cube_y (m), repeat, and the variables.
+    Columns are the factors that vary, position, cube_x and cube_y (m) if it has positions, repeat,
+    and the variables.
     """
     import numpy as np
 
     from jaxreplay.study.dataset import along, axes_of
 
     factors = [name for dim in axes_of(dataset) for name in along(dataset, dim)]
-    columns = [*factors, "position", "cube_x", "cube_y", "repeat", *map(str, dataset.data_vars)]
+    places = [name for name in ("position", "cube_x", "cube_y") if name in dataset.coords]
+    columns = [*factors, *places, "repeat", *map(str, dataset.data_vars)]
     yield tuple(columns)
     runs = dataset.outcome
     each = [dataset[c].broadcast_like(runs).transpose(*runs.dims).values.ravel() for c in columns]

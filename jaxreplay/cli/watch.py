@@ -28,8 +28,8 @@ def add_to(commands: Commands) -> None:
         help="values of factors, position and repeat, separated by commas, such as "
         "jump=own_tau,theta_i=0.01,position=0,repeat=2: those not given are free, and the first "
         "run that fits is taken; or the run's index from 0, in the order of the file's axes, then "
-        "positions, then repeats; or, of a folder, the first run with an outcome (S, Fs, Fg, Fb) "
-        "or a stall (fixed, cyclic, slow)",
+        "positions, then repeats; or, of a folder, the first run with an outcome (S, Fs, …) or "
+        "a stall (fixed, cyclic, slow)",
     )
     parser.add_argument("--speed", type=speed, default=4.0, help="times real time (default: 4)")
     parser.add_argument(

@@ -26,7 +26,7 @@ def figures_of(dataset: xr.Dataset) -> dict[str, Picture]:
     dims = axes_of(dataset)
     few = np.prod([dataset.sizes[d] for d in dims]) <= MOST_ROWS
     figures = main_figure(dataset)
-    if dataset.sizes["position"] > MOST_POSITIONS and few:
+    if dataset.sizes.get("position", 1) > MOST_POSITIONS and few:
         figures["positions"] = position_map(dataset)
     return figures
 

@@ -12,7 +12,7 @@ from matplotlib.patches import Rectangle
 
 from jaxreplay.figures.outcomes import label, tick_text, title
 from jaxreplay.figures.picture import Picture
-from jaxreplay.study.dataset import axes_of, cells, is_number
+from jaxreplay.study.dataset import axes_of, cells, is_number, samples_of
 
 COLUMNS = 4  # panels side by side
 COLOURS = "cividis"  # lightness grows with the value, also for colour-blind readers and in grey
@@ -57,8 +57,13 @@ def position_map(dataset: xr.Dataset) -> Picture:
     file of records does not.
 
     Args:
-        dataset: a study.
+        dataset: a study on the plane.
+
+    Raises:
+        ValueError: it is one in an environment, which has no positions.
     """
+    if "cube_x" not in dataset.coords:
+        raise ValueError("a map of positions needs a study on the plane; an environment has none")
     panels = list(cells(dataset, axes_of(dataset)))
     left, ahead = 100 * dataset.cube_y.values, 100 * dataset.cube_x.values
     written = dataset.sizes["repeat"] > 1  # in numbers, for which squares must be large
@@ -66,7 +71,7 @@ def position_map(dataset: xr.Dataset) -> Picture:
     width, height = (step * len(np.unique(at)) + 0.6 for at in (left, ahead))
     figure, axes = _panels(len(panels), width, height)
     for ax, (values, runs) in zip(axes, panels, strict=True):
-        rate = _rate(runs, "repeat").values
+        rate = _rate(runs, ["repeat"]).values
         ax.scatter(
             left, ahead, s=area, c=rate, marker="s", cmap=COLOURS, vmin=0, vmax=100, linewidths=0
         )
@@ -115,8 +120,9 @@ def _wrapped(figure: Picture, text: str, n: int) -> str:
     return fill(text, max(int(16 * width), 12), break_long_words=False)
 
 
-def _rate(runs: xr.Dataset, over=("position", "repeat")) -> xr.DataArray:
-    """Return successes in percent of the finished runs."""
+def _rate(runs: xr.Dataset, over: list[str] | None = None) -> xr.DataArray:
+    """Return successes in percent of the finished runs of each cell."""
+    over = samples_of(runs) if over is None else over
     finished = (runs.outcome != "").sum(over)
     return 100 * (runs.outcome == "S").sum(over) / finished.where(finished > 0)
 

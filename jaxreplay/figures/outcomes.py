@@ -10,27 +10,28 @@ import xarray as xr
 from matplotlib.axes import Axes
 
 from jaxreplay.figures.picture import Picture
-from jaxreplay.figures.table import short, standard_error, units, wilson
-from jaxreplay.study.dataset import OUTCOMES, axes_of, cells, is_number
+from jaxreplay.figures.table import counted, short, standard_error, units, wilson
+from jaxreplay.study.dataset import axes_of, cells, is_number, meanings, samples_of, told
 
-# From light to dark and hatched, so that they can be distinguished in grey.
-COLOURS = {"S": "#cfe8cf", "Fs": "#f2b872", "Fg": "#c0504d", "Fb": "#3b3b58"}
-HATCHES = {"S": "", "Fs": "//", "Fg": "..", "Fb": "xx"}
-MEANINGS = {"S": "success", "Fs": "time limit reached", "Fg": "no grasp", "Fb": "left the area"}
+# Of the outcomes in their order, from light to dark and hatched, so that they differ in grey.
+COLOURS = ("#cfe8cf", "#f2b872", "#c0504d", "#3b3b58")
+HATCHES = ("", "//", "..", "xx")
 SYMBOLS = {"theta_i": "$\\theta_I$", "theta_tau": "$\\theta_\\tau$"}
 # Moments τ are positions on a record.
 READINGS = {
     "same_tau": "same_tau: a jump keeps τ (equation 6 as printed)",
     "own_tau": "own_tau: each record has its own p(τ)",
 }
-STYLES = (  # variable, label, marker, colour, its face, and how far beside the tick
-    ("alignment_error", "alignment error, mm (●)", "o", "#1f4e79", "#1f4e79", -0.2),
-    ("duration", "run duration, s (□)", "s", "#b35900", "white", 0.2),
+STYLES = (  # of two variables: marker, its sign, colour, its face, and how far beside the tick
+    ("o", "●", "#1f4e79", "#1f4e79", -0.2),
+    ("s", "□", "#b35900", "white", 0.2),
 )
 
 
 def figure_3(dataset: xr.Dataset) -> Picture:
     """Draw figure 3 of the paper: outcomes, alignment error and duration along one axis.
+
+    Of an environment, the second panel has the return instead of the error.
 
     For the choice of that axis, axes of more than two values come first; among them θ_I, then
     numeric axes, then the longest. There is a row of panels for each combination of the others.
@@ -58,10 +59,10 @@ def figure_3(dataset: xr.Dataset) -> Picture:
     with matplotlib.rc_context({"font.size": 9, "axes.spines.top": False, "hatch.linewidth": 0.5}):
         figure = Picture(figsize=(8, 2.7 * n + 0.5))
         rows = figure.subplots(n, 2, squeeze=False, sharex=True)
-        tops = [1.05 * _highest(dataset, name) for name, *_ in STYLES]
+        reach = {name: _reach(dataset, name) for name in told(dataset)[: len(STYLES)]}
         for row, (values, runs) in zip(rows, panels, strict=True):
             _outcomes(row[0], runs, along)
-            _error_and_duration(row[1], runs, along, tops)
+            _means(row[1], runs, along, reach)
             row[0].set_title(fill(title(dataset, values), 66), loc="left", fontsize=9)
         for ax in rows[-1]:
             ax.set_xlabel(label(dataset, along))
@@ -70,11 +71,12 @@ def figure_3(dataset: xr.Dataset) -> Picture:
     return figure
 
 
-def _highest(dataset: xr.Dataset, name: str) -> float:
-    """Return where the highest bar of a standard error ends."""
-    cell = (runs for _, runs in cells(dataset, axes_of(dataset)))
-    won = [runs[name].values[runs.outcome.values == "S"] for runs in cell]
-    return max((v.mean() + np.nan_to_num(standard_error(v)) for v in won if len(v)), default=1)
+def _reach(dataset: xr.Dataset, name: str) -> tuple[float, float]:
+    """Return the limits of an axis that has 0 and all bars of standard errors on it."""
+    each = (counted(runs, name) for _, runs in cells(dataset, axes_of(dataset)))
+    bars = [v.mean() + np.nan_to_num(standard_error(v)) * np.array([-1, 1]) for v in each if len(v)]
+    low, high = min([0, *(b[0] for b in bars)]), max([0, *(b[1] for b in bars)])
+    return (1.05 * low, 1.05 * high) if high > low else (0, 1)
 
 
 def title(dataset: xr.Dataset, values: dict[str, Any]) -> str:
@@ -133,21 +135,22 @@ def _axis(axes: Axes, runs: xr.Dataset, along: str):
 
 
 def _outcomes(axes: Axes, runs: xr.Dataset, along: str):
-    counts = {o: (runs.outcome == o).sum(("position", "repeat")).values for o in OUTCOMES}
+    about = meanings(runs)
+    counts = {o: (runs.outcome == o).sum(samples_of(runs)).values for o in about}
     total = np.sum(list(counts.values()), axis=0)
     bottom, at = np.zeros(len(total)), places(runs, along)
-    for outcome, count in counts.items():
+    for (outcome, count), colour, hatch in zip(counts.items(), COLOURS, HATCHES, strict=True):
         share = 100 * count / np.maximum(total, 1)  # a cell may have no run yet
         axes.bar(
             at, share, 0.75, bottom,
-            label=f"{outcome}: {MEANINGS[outcome]}",
-            color=COLOURS[outcome], hatch=HATCHES[outcome], edgecolor="black", linewidth=0.5,
+            label=f"{outcome}: {about[outcome]}",
+            color=colour, hatch=hatch, edgecolor="black", linewidth=0.5,
         )  # fmt: skip
         bottom += share
     rates = 100 * counts["S"] / np.maximum(total, 1)
-    reach = 100 * np.transpose([wilson(*pair) for pair in zip(counts["S"], total, strict=True)])
+    interval = 100 * np.transpose([wilson(*pair) for pair in zip(counts["S"], total, strict=True)])
     bars = axes.errorbar(
-        at, rates, np.abs(reach - rates), fmt="none", color="black", capsize=3, lw=1.2, zorder=4
+        at, rates, np.abs(interval - rates), fmt="none", color="black", capsize=3, lw=1.2, zorder=4
     )
     outline = matplotlib.patheffects.withStroke(linewidth=3.5, foreground="white")
     for part in (*bars.lines[1], *bars.lines[2]):  # seen on hatching by their white outline
@@ -158,13 +161,14 @@ def _outcomes(axes: Axes, runs: xr.Dataset, along: str):
     _axis(axes, runs, along)
 
 
-def _error_and_duration(axes: Axes, runs: xr.Dataset, along: str, tops: list[float]):
+def _means(axes: Axes, runs: xr.Dataset, along: str, reach: dict[str, tuple[float, float]]):
+    """Draw the means of two variables in each cell, within the limits of their axes."""
     sides, at = (axes, axes.twinx()), places(runs, along)
-    for ax, (name, label, marker, colour, face, shift), top in zip(
-        sides, STYLES, tops, strict=True
-    ):
+    of = ["successful runs" if runs[n].attrs.get("of") == "S" else "all runs" for n in reach]
+    for ax, style, (name, limits), whose in zip(sides, STYLES, reach.items(), of, strict=True):
+        marker, sign, colour, face, shift = style
         for k, (_, cell) in enumerate(cells(runs, [along])):
-            values = cell[name].values[cell.outcome.values == "S"]
+            values = counted(cell, name)
             if len(values):
                 error = standard_error(values) if len(values) > 1 else None
                 ax.errorbar(
@@ -173,9 +177,13 @@ def _error_and_duration(axes: Axes, runs: xr.Dataset, along: str, tops: list[flo
                 )  # fmt: skip
             elif ax is axes:
                 ax.text(
-                    at[k], 0.02 * top, "none", ha="center", fontsize=7, color="grey", rotation=90
-                )
-        ax.set_ylabel(label, color=colour)
-        ax.set_ylim(0, top)
-    axes.set_title("successful runs: mean ± standard error", loc="right", fontsize=8)
+                    at[k], 0.02, "none", ha="center", fontsize=7, color="grey", rotation=90,
+                    transform=ax.get_xaxis_transform(),
+                )  # fmt: skip
+        about, unit = runs[name].attrs, units(runs, name)
+        text = about["long_name"] + (f",{unit}" if unit else "") + f" ({sign})"
+        ax.set_ylabel(text if len(set(of)) == 1 else f"{text}\n{whose}", color=colour)
+        ax.set_ylim(*limits)
+    whose = f"{of[0]}: " if len(set(of)) == 1 else ""
+    axes.set_title(f"{whose}mean ± standard error", loc="right", fontsize=8)
     _axis(axes, runs, along)

@@ -7,7 +7,7 @@ import numpy as np
 import xarray as xr
 from scipy.stats import binomtest
 
-from jaxreplay.study.dataset import OUTCOMES, STALLS, along, axes_of, cells
+from jaxreplay.study.dataset import along, axes_of, cells, meanings, samples_of, told, words
 
 
 def table(dataset: xr.Dataset) -> str:
@@ -23,35 +23,58 @@ def table(dataset: xr.Dataset) -> str:
         values = [short(value) for value in dataset[name].values]
         heads[name] = dataset[name].attrs["symbol"] + units(dataset, name)
         columns[name] = max(11, *(len(text) + 2 for text in (heads[name], *values)))
+    ways, stalls, shown = list(meanings(dataset)), words(dataset, "stall"), told(dataset)
     lines = [
         "".join(head.rjust(columns[name]) for name, head in heads.items())
-        + "".join(f"{name:>6}" for name in OUTCOMES)
-        + f"{'lifted':>8}{'S, %':>15}{'− first, %':>17}"
-        + "".join(f"{name:>8}" for name in STALLS)
-        + f"{'error of S, mm':>18}{'duration of S, s':>20}"
+        + "".join(f"{name:>6}" for name in ways)
+        + ("  lifted" if "lifted" in dataset else "")
+        + f"{'S, %':>15}{'− first, %':>17}"
+        + "".join(f"{name:>8}" for name in stalls)
+        + "".join(_head(dataset[name]).rjust(_width(dataset[name])) for name in shown)
     ]
     for (values, runs), first in zip(cells(dataset, dims), _firsts(dataset, dims), strict=True):
-        outcome, stall = runs.outcome.values, runs.stall.values
+        outcome = runs.outcome.values
         row = "".join(short(value).rjust(columns[name]) for name, value in values.items())
-        row += "".join(f"{np.sum(outcome == o):6d}" for o in OUTCOMES)
-        row += _lifted(runs).rjust(8)
+        row += "".join(f"{np.sum(outcome == o):6d}" for o in ways)
+        row += _lifted(runs).rjust(8) if "lifted" in dataset else ""
         row += rate(np.sum(outcome == "S"), np.sum(outcome != "")).rjust(15)
         row += ("–" if first is None else difference(outcome, first.outcome.values)).rjust(17)
-        row += "".join(f"{np.sum(stall == s):8d}" for s in STALLS)
-        for name, width in (("alignment_error", 18), ("duration", 20)):
-            row += mean_and_error(runs[name].values[outcome == "S"]).rjust(width)
+        row += "".join(f"{np.sum(runs.stall.values == s):8d}" for s in stalls)
+        for name in shown:
+            row += mean_and_error(counted(runs, name)).rjust(_width(dataset[name]))
         lines.append(row)
     lines += [
         "",
-        "S: success; Fs: time limit reached (fixed, cyclic or slow); Fg: no grasp; Fb: left the "
-        "area.",
-        "lifted: the cube was lifted at any time. S, %: with Wilson's 95 % interval. ±: standard "
-        "error of the mean.",
+        "; ".join(f"{code}: {meaning}" for code, meaning in meanings(dataset).items())
+        + ("; an Fs is a fixed or cyclic stall, or slow." if stalls else "."),
+        ("lifted: the cube was lifted at any time. " if "lifted" in dataset else "")
+        + "S, %: with Wilson's 95 % interval. ±: standard error of the mean.",
         "− first: difference of S to the first value of the last axis, with its 95 % interval; "
-        "runs are paired by position and repeat.",
+        f"runs are paired by {' and '.join(samples_of(dataset))}.",
         _audited(dataset),
     ]
     return "\n".join(lines)
+
+
+def counted(runs: xr.Dataset, name: str) -> np.ndarray:
+    """Return the values of a variable that tables and figures show: of S alone, or of all runs."""
+    values = runs[name].values[runs.outcome.values == "S" if _of_success(runs[name]) else ...]
+    return values[np.isfinite(values)]
+
+
+def _of_success(values: xr.DataArray) -> bool:
+    return values.attrs.get("of") == "S"
+
+
+def _head(values: xr.DataArray) -> str:
+    """Return the head of a column, such as "error of S, mm"."""
+    unit = values.attrs["units"]
+    text = values.attrs["column"] + (" of S" if _of_success(values) else "")
+    return text if unit == "1" else f"{text}, {unit}"
+
+
+def _width(values: xr.DataArray) -> int:
+    return max(len(_head(values)) + 4, 18)
 
 
 def _firsts(dataset: xr.Dataset, dims: list[str]) -> Iterator[xr.Dataset | None]:
@@ -68,7 +91,7 @@ def _firsts(dataset: xr.Dataset, dims: list[str]) -> Iterator[xr.Dataset | None]
 
 def _lifted(runs: xr.Dataset) -> str:
     """Return in how many runs the cube was lifted; – where that is not known."""
-    lifted = runs.lifted.values[runs.outcome.values != ""] if "lifted" in runs else np.array([])
+    lifted = runs.lifted.values[runs.outcome.values != ""]
     return f"{np.sum(lifted == 1)}" if np.isfinite(lifted).any() else "–"
 
 

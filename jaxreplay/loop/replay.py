@@ -110,6 +110,13 @@ def replay(
         How each replay went: how it ended, its steps, reward, evidence and distance, see
         :class:`Replays`.
 
+    Example:
+        ::
+
+            how = {"vector_kwargs": {"autoreset_mode": AutoresetMode.DISABLED}}
+            env = gymnasium.make_vec("Pendulum-v1", 8, vectorization_mode="sync", **how)
+            done = jr.replay(records, params, env, seeds=range(20), last_steps=None)
+
     Raises:
         ValueError: environment and records do not fit each other, or its autoreset is enabled;
             there is not one set of parameters and one value of each option for each seed; an option

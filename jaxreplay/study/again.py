@@ -1,6 +1,7 @@
 """One run of a study done again, and recorded step by step."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -17,18 +18,18 @@ from jaxreplay.loop.controller import FilterController, MakeController
 from jaxreplay.loop.replay import replay
 from jaxreplay.loop.rivals import controller_named
 from jaxreplay.params import Params
-from jaxreplay.plane.params import PlaneParams
 from jaxreplay.records import Records
 from jaxreplay.study.config import StudyConfig
-from jaxreplay.study.dataset import OUTCOMES, STALLS, Trace
+from jaxreplay.study.dataset import Trace
 from jaxreplay.study.demonstrations import demonstrations
-from jaxreplay.study.factors import FACTORS
 from jaxreplay.study.open import config_of, open_study
-from jaxreplay.study.runs import records_of, runs_of, settings_of, worlds_of
-from jaxreplay.study.shard import how_of, outcomes
+from jaxreplay.study.runs import Demonstrations, records_of, runs_of, settings_of, worlds_of
+from jaxreplay.study.shard import how_of
 from jaxreplay.study.store import check_format
+from jaxreplay.study.worlds.world import World
 
-ALWAYS = ("theta_i", "theta_tau", "sigma", "jump")  # told of a run, the others if not the default
+# Factors of a run that are shown; the others are if they have not their default.
+ALWAYS = ("theta_i", "theta_tau", "sigma", "jump")
 
 
 def find_and_run_again(
@@ -62,29 +63,31 @@ def find_and_run_again(
     return k, run_again(config, demonstrations(config, folder), k)
 
 
-def run_again(config: StudyConfig, demonstrations: Mapping[PlaneParams, Records], k: int) -> Trace:
+def run_again(config: StudyConfig, demonstrations: Demonstrations, k: int) -> Trace:
     """Do the k-th run of a study again and record it.
 
     Args:
         config: the study.
-        demonstrations: by the robot that made them.
+        demonstrations: its records.
         k: the run's index, counted along the dataset's dimensions.
 
     Returns:
         The run. With the same records, results format and kind of processor it is identical to
         the study's run, bit for bit.
     """
-    one = runs_of(config).of(np.array([k]))
-    params, (seed,), options = settings_of(config, one)
+    one, factors = runs_of(config).of(np.array([k])), config.world.factors
+    params, (seed,), options = settings_of(config, demonstrations, one)
     how, chosen = how_of(one), records_of(config, demonstrations, one)
     controller = controller_named(one.values["controller"][0])
-    trace = trace_of(chosen, params, worlds_of(config, one), how, seed, options, controller)
+    with closing(worlds_of(config, one, render=True)) as worlds:
+        trace = trace_of(config.world, chosen, params, worlds, how, seed, options, controller)
     values = {
-        FACTORS[name].symbol: value
+        factors[name].symbol: value
         for name, (value,) in one.values.items()
-        if name in ALWAYS or value not in (None, FACTORS[name].default)
+        if name in ALWAYS or value not in (None, factors[name].default)
     }
-    return trace._replace(values=values, position=int(one.position[0]), repeat=int(one.repeat[0]))
+    place = f"position {one.position[0]}, " if config.positions else ""
+    return trace._replace(values=values, place=f"{place}repeat {one.repeat[0]}")
 
 
 def find_run(
@@ -108,15 +111,18 @@ def find_run(
         if int(text) >= runs:
             raise ConfigError(f"run {text}: the study has {runs} runs; give 0 to {runs - 1}")
         return int(text)
-    if text not in (*OUTCOMES, *STALLS):
-        names = ", ".join((*OUTCOMES, *STALLS))
+    stalls = config.world.variables.get("stall", {}).get("values", "")
+    known = [*config.world.outcomes, *stalls.split()]
+    if text not in known:
+        names = ", ".join(known)
         raise ConfigError(
             f"run {text}: give a run's number, or one of {names}, or values such as "
             "theta_i=0.01,position=0"
         )
     if dataset is None:
         raise ConfigError(f"run {text}: the study has no outcomes yet; give a study's folder")
-    found = np.flatnonzero((dataset.outcome.values == text) | (dataset.stall.values == text))
+    how = [dataset[name].values.ravel() for name in ("outcome", "stall") if name in dataset]
+    found = np.flatnonzero(np.any([each == text for each in how], axis=0))
     if len(found) == 0:
         raise ConfigError(f"run {text}: no run of this study ended so")
     return int(found[0])
@@ -125,16 +131,17 @@ def find_run(
 def _with_values(config: StudyConfig, wanted: Mapping[str, Any]) -> int:
     """Return the index of the first run with these values."""
     runs = runs_of(config)
-    columns = runs.values | {"position": runs.position, "repeat": runs.repeat}
+    places = {"position": runs.position} if config.positions else {}
+    columns = runs.values | places | {"repeat": runs.repeat}
     fits = np.full(len(runs), True)
     for name, value in wanted.items():
         if name not in columns:
-            known = ", ".join((*config.axes, "position", "repeat"))
+            known = ", ".join((*config.axes, *places, "repeat"))
             raise ConfigError(
                 f"run {name}={value}: the study has no {name}; what varies is {known}"
             )
         column = columns[name]
-        value = _as_stored(name, value)
+        value = _as_stored(config, name, value)
         same = np.array([_same(value, each) for each in column.tolist()])
         if not same.any():
             there = ", ".join(dict.fromkeys(f"{each}" for each in column.tolist()))
@@ -145,10 +152,10 @@ def _with_values(config: StudyConfig, wanted: Mapping[str, Any]) -> int:
     return int(np.flatnonzero(fits)[0])
 
 
-def _as_stored(name: str, value: Any) -> Any:
+def _as_stored(config: StudyConfig, name: str, value: Any) -> Any:
     """Return a factor's value as a study stores it: `records = 6` is "6 drawn"."""
     try:
-        return FACTORS[name].read(value, name)
+        return config.world.factors[name].read(value, name)
     except (KeyError, ValueError):  # position, repeat; or no run can have it
         return value
 
@@ -161,6 +168,7 @@ def _same(given: Any, value: Any) -> bool:
 
 
 def trace_of(
+    world: World,
     records: Records,
     params: Params,
     worlds: VectorEnv,
@@ -169,33 +177,26 @@ def trace_of(
     options: dict[str, np.ndarray],
     controller: MakeController = FilterController,
 ) -> Trace:
-    """Run one replay in the plane and record it.
+    """Run one replay and record it.
 
     Arguments are as of :func:`jaxreplay.replay`; `how` is its reading of a jump, start and end.
     The beliefs are those that the filter has of the observations, also where another controller
     made them.
     """
-    env = _Recorder(worlds)
+    env = _Recorder(worlds, world.look)
     replays = replay(
         records, params, env, [seed], **how._asdict(), options=options, controller=controller
     )
-    columns = [np.array(column) for column in zip(*env.rows, strict=True)]
-    observations, commands, robot, cube, elevation, tilt, held = columns
+    observations, commands, seen = zip(*env.rows, strict=True)
     one = jax.tree.map(lambda x: x[0], params)
     return Trace(
-        observations=observations,
-        commands=commands,
-        beliefs=beliefs(records, one, how, observations),
-        robot=robot,
-        cube=cube,
-        elevation=elevation,
-        tilt=tilt,
-        held=held,
-        lengths=np.asarray(records.lengths),
-        outcome=str(outcomes(replays)[0]),
-        stall=str(replays.info["stall"][0]),
-        alignment_error=float(replays.info["alignment_error"][0]),
-        plane=worlds.unwrapped.params,  # pyright: ignore[reportAttributeAccessIssue]
+        observations=np.array(observations),
+        commands=np.array(commands),
+        beliefs=beliefs(records, one, how, np.array(observations)),
+        records=records,
+        ending=world.ending(replays),
+        period=getattr(worlds.unwrapped, "control_period", records.period),
+        scene=world.scene(seen),
     )
 
 
@@ -215,16 +216,15 @@ def beliefs(records: Records, params: Params, how: Options, observations: np.nda
 
 
 class _Recorder(VectorWrapper):
-    """Records the observation, the command and the pose of the first world at each step."""
+    """Records the observation, the command and what is to be seen in the first world."""
 
-    def __init__(self, env: VectorEnv):
+    def __init__(self, env: VectorEnv, look: Callable[[VectorEnv], Any]):
         super().__init__(env)
         self.rows: list[tuple] = []
+        self._look = look
 
     def step(self, actions: np.ndarray) -> tuple[Any, ...]:
         """Simulate one control step and record it."""
         result = self.env.step(actions)
-        plane: Any = self.env.unwrapped
-        pose = (x[0].copy() for x in plane.pose)
-        self.rows.append((result[0][0].copy(), actions[0].copy(), *pose, bool(plane.held[0])))
+        self.rows.append((result[0][0].copy(), actions[0].copy(), self._look(self.env)))
         return result

@@ -1,21 +1,19 @@
 """The cost of a study, measured on a few of its runs."""
 
 import time
-from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
 import psutil
 
 from jaxreplay.loop.tracker import LANES, windows_for
-from jaxreplay.plane.params import PlaneParams
 from jaxreplay.records import Records
 from jaxreplay.study.config import StudyConfig
-from jaxreplay.study.runs import Runs, runs_of, shards_of
+from jaxreplay.study.runs import Demonstrations, Runs, runs_of, shards_of
 from jaxreplay.study.shard import replays_of
 
 SAMPLE = 8  # runs
-WORLD = 500_000  # bytes of one world, its space and its noise; measured
+WORLD = 500_000  # bytes of one world: of the plane, its space and its noise; measured
 
 
 class Cost(NamedTuple):
@@ -30,7 +28,7 @@ class Cost(NamedTuple):
     memory: int
 
 
-def estimate(config: StudyConfig, demonstrations: Mapping[PlaneParams, Records]) -> Cost:
+def estimate(config: StudyConfig, demonstrations: Demonstrations) -> Cost:
     """Measure a few runs spread over a study, twice: the first time may compile."""
     runs = runs_of(config)
     sample = runs.of(np.unique(np.linspace(0, len(runs) - 1, SAMPLE).astype(int)))

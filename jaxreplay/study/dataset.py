@@ -1,8 +1,8 @@
 """What the dataset of a study contains, for those who make it and those who draw it.
 
-Dimensions are the study's axes, then `position` and `repeat`. Every factor with a value is a
-coordinate: along its axis, or a scalar where it is fixed. Its attributes `symbol`, `long_name` and,
-of a number, `units` say how to write it.
+Dimensions are the study's axes, then `position` (on the plane) and `repeat`. Every factor with a
+value is a coordinate: along its axis, or a scalar where it is fixed. Its attributes `symbol`,
+`long_name` and, of a number, `units` say how to write it.
 """
 
 from collections.abc import Iterator, Mapping
@@ -13,16 +13,9 @@ import numpy as np
 import xarray as xr
 
 from jaxreplay.plane.params import PlaneParams
+from jaxreplay.records import Records
 
-OUTCOMES = ("S", "Fs", "Fg", "Fb")  # of a run, as in figure 3
-STALLS = ("fixed", "cyclic", "slow")  # kinds of an Fs
-
-VARIABLES: dict[str, dict[str, str]] = {
-    "outcome": {"long_name": "outcome of the run", "values": " ".join(OUTCOMES)},
-    "stall": {"long_name": "kind of an Fs", "values": " ".join(STALLS)},
-    "lifted": {"units": "1", "long_name": "the cube was lifted at any time"},
-    "alignment_error": {"units": "mm", "long_name": "alignment error"},
-    "duration": {"units": "s", "long_name": "run duration"},
+VARIABLES: dict[str, dict[str, str]] = {  # of every study, beside those of its world
     "log_evidence": {"units": "1", "long_name": "log p(Z_1:t) of the run"},
     "widened": {"units": "1", "long_name": "steps computed again in a wider window"},
     "dropped": {
@@ -40,7 +33,58 @@ VARIABLES: dict[str, dict[str, str]] = {
     },
 }
 SINCE = {"lifted": 2}  # the results format that first had a variable
-TEXT = {"outcome": "<U2", "stall": "<U6"}  # variables that are words, and their type
+
+
+def variables_of(
+    outcomes: Mapping[str, str], own: Mapping[str, Mapping[str, str]]
+) -> dict[str, Mapping[str, str]]:
+    """Return the attributes of all variables of a study, by name.
+
+    Args:
+        outcomes: of its world: codes and their meanings.
+        own: the world's own variables.
+    """
+    outcome = {
+        "long_name": "outcome of the run",
+        "values": " ".join(outcomes),
+        "meanings": "; ".join(outcomes.values()),
+    }
+    return {"outcome": outcome, **own, **VARIABLES}
+
+
+def dtype_of(about: Mapping[str, str]) -> str:
+    """Return the type of a variable with these attributes: float, or text that fits its words."""
+    return f"<U{max(map(len, about['values'].split()))}" if "values" in about else "float64"
+
+
+class PlaneScene(NamedTuple):
+    """What there was to see on the plane in T control steps.
+
+    Attributes:
+        robot: `[T, 3]` x, y (m) and heading (rad).
+        cube: `[T, 3]` x, y (m) and angle (rad).
+        elevation: `[T]` of the gripper head, m.
+        tilt: `[T]` of the gripper head, rad.
+        held: `[T]` whether the magnet held the cube.
+        params: the constants of the simulated robot and its surroundings.
+    """
+
+    robot: np.ndarray
+    cube: np.ndarray
+    elevation: np.ndarray
+    tilt: np.ndarray
+    held: np.ndarray
+    params: PlaneParams = PlaneParams()
+
+
+class Pictures(NamedTuple):
+    """Pictures of an environment, one for each of T control steps.
+
+    Attributes:
+        files: each as the bytes of a PNG file.
+    """
+
+    files: list[bytes]
 
 
 class Trace(NamedTuple):
@@ -50,42 +94,53 @@ class Trace(NamedTuple):
         observations: `[T, n_s]`.
         commands: `[T, n_u]`.
         beliefs: `[T, N, L]` p(I, τ | Z_1:t).
-        robot: `[T, 3]` x, y (m) and heading (rad).
-        cube: `[T, 3]` x, y (m) and angle (rad).
-        elevation: `[T]` of the gripper head, m.
-        tilt: `[T]` of the gripper head, rad.
-        held: `[T]` whether the magnet held the cube.
-        lengths: `[N]` of the records.
-        outcome: one of `OUTCOMES`.
-        stall: one of `STALLS` if the outcome is Fs, else empty.
-        alignment_error: m; NaN unless the magnet took hold of the cube.
+        records: those replayed.
+        ending: how it ended, such as "S, error 2.3 mm".
+        period: s between control steps; None: unknown.
+        scene: what there was to see; None: nothing.
         values: the factors' values by symbol, for a run of a study.
-        position: index of the test position, for a run of a study.
-        repeat: for a run of a study.
-        plane: the constants of the simulated robot and its surroundings.
+        place: its position and repeat in the study, in words.
     """
 
     observations: np.ndarray
     commands: np.ndarray
     beliefs: np.ndarray
-    robot: np.ndarray
-    cube: np.ndarray
-    elevation: np.ndarray
-    tilt: np.ndarray
-    held: np.ndarray
-    lengths: np.ndarray
-    outcome: str
-    stall: str
-    alignment_error: float
+    records: Records
+    ending: str
+    period: float | None
+    scene: PlaneScene | Pictures | None
     values: Mapping[str, Any] = MappingProxyType({})
-    position: int = 0
-    repeat: int = 0
-    plane: PlaneParams = PlaneParams()
+    place: str = ""
+
+
+def words(dataset: xr.Dataset, name: str) -> list[str]:
+    """Return the values that a variable of words can have; none if the dataset has no such."""
+    return dataset[name].attrs["values"].split() if name in dataset else []
+
+
+def meanings(dataset: xr.Dataset) -> dict[str, str]:
+    """Return how a run can end: each outcome's code, and what it means."""
+    return dict(
+        zip(words(dataset, "outcome"), dataset.outcome.attrs["meanings"].split("; "), strict=True)
+    )
+
+
+def told(dataset: xr.Dataset) -> list[str]:
+    """Return the variables that tables and figures show."""
+    return [str(name) for name, values in dataset.data_vars.items() if "column" in values.attrs]
+
+
+SAMPLES = ("position", "repeat")  # dimensions along which no factor varies
 
 
 def axes_of(dataset: xr.Dataset) -> list[str]:
     """Return the dimensions along which factors vary."""
-    return [str(dim) for dim in dataset.outcome.dims if dim not in ("position", "repeat")]
+    return [str(dim) for dim in dataset.outcome.dims if dim not in SAMPLES]
+
+
+def samples_of(dataset: xr.Dataset) -> list[str]:
+    """Return the dimensions of the runs that a cell has: positions, if any, and repeats."""
+    return [str(dim) for dim in dataset.outcome.dims if dim in SAMPLES]
 
 
 def along(dataset: xr.Dataset, dim: str) -> list[str]:

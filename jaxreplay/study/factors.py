@@ -1,7 +1,7 @@
-"""The factors that a study can vary: the filter's parameters, and the robot's properties."""
+"""Factors that a study can vary: those of every study, and σ of a sensor."""
 
 import re
-from collections.abc import Callable, Collection, Hashable
+from collections.abc import Callable, Collection, Hashable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -10,14 +10,11 @@ from gymnasium.vector import VectorEnv
 from jaxreplay.filter.belief import DEFAULT_JUMP, READINGS
 from jaxreplay.filter.options import LAST_STEPS, STARTS
 from jaxreplay.loop.rivals import controller_named
-from jaxreplay.plane import light
-from jaxreplay.plane.options import SETTINGS
-from jaxreplay.plane.params import SENSOR_NAMES, SENSOR_RANGES, PlaneParams
 from jaxreplay.study.parse import Reader, number, one_of, whole
 
 
 class AddedSensor(NamedTuple):
-    """A sensor that a factor adds to the plane's, in demonstrations and in runs.
+    """A sensor that a factor adds to a world's, in demonstrations and in runs.
 
     Attributes:
         name: of the sensor.
@@ -118,18 +115,10 @@ def _drawn_anew(value: str | None, repeat: int) -> Hashable:
     return value, repeat if value is not None and value.endswith("drawn") else None
 
 
-_PLANE = PlaneParams()
-
-FACTORS: dict[str, Factor] = {
+FACTORS: dict[str, Factor] = {  # of every study
     "theta_i": Factor(REQUIRED, number(0, 1), "θ_I", "1", "probability to jump to another record"),
     "theta_tau": Factor(0.05, number(0, 0.5), "θ_τ", "1", "probability to stay, and to skip"),
     "sigma": Factor(0.1, number(1e-6, 1e6), "σ", "1", "σ of every sensor, as a share of its range"),
-    **{
-        f"sigma_{name}": Factor(
-            None, number(1e-6, 1e6), f"σ {name}", "1", f"σ of {name}, as a share of the range"
-        )
-        for name in ("camera", "proximeters", *SENSOR_NAMES[1:])
-    },
     "jump": Factor(
         DEFAULT_JUMP,
         one_of(*READINGS),
@@ -148,7 +137,7 @@ FACTORS: dict[str, Factor] = {
     ),
     "last_steps": Factor(
         LAST_STEPS,
-        whole(1, 10_000),
+        whole(0, 10_000),
         "last steps",
         "1",
         "samples that count as a demonstration's end",
@@ -163,74 +152,6 @@ FACTORS: dict[str, Factor] = {
         choose=choose_records,
         batch_key=_drawn_anew,
     ),
-    "light": Factor(
-        None,
-        one_of(False, True),
-        "light",
-        "",
-        "one more sensor, of the room's light",
-        sensor=AddedSensor(light.NAME, light.RANGE, light.light_level, light.Lit),
-        batch_key=lambda value, repeat: bool(value),
-    ),
-    "dithering": Factor(
-        _PLANE.dithering, one_of(False, True), "dithering", "", "temporal dithering of the tracks"
-    ),
-    "motor_unit": Factor(
-        _PLANE.motor_unit,
-        number(*SETTINGS["motor_unit"]),
-        "motor unit",
-        "m/s",
-        "resolution of the track speeds",
-    ),
-    "battery": Factor(
-        _PLANE.battery,
-        number(*SETTINGS["battery"]),
-        "battery",
-        "1",
-        "voltage, as a share of a full battery's",
-    ),
-    "sensor_noise": Factor(
-        _PLANE.sensor_noise,
-        number(*SETTINGS["sensor_noise"]),
-        "sensor noise",
-        "1",
-        "factor on the sensors' noise",
-    ),
-    "track_bias": Factor(
-        _PLANE.track_bias,
-        number(*SETTINGS["track_bias"]),
-        "track bias",
-        "1",
-        "largest difference of a track's gain from 1, drawn for each run",
-    ),
-    "placing": Factor(
-        _PLANE.placing,
-        number(*SETTINGS["placing"]),
-        "placing",
-        "m",
-        "largest error of where the robot is put down, in x and in y",
-    ),
-    "heading": Factor(
-        _PLANE.heading,
-        number(*SETTINGS["heading"]),
-        "heading",
-        "rad",
-        "largest error of the robot's heading when it is put down",
-    ),
-    "cube_turn": Factor(
-        _PLANE.cube_turn,
-        number(*SETTINGS["cube_turn"]),
-        "cube turn",
-        "rad",
-        "largest angle by which the cube is turned",
-    ),
-    "taught": Factor(
-        "alike",
-        one_of("alike", "nominal"),
-        "taught",
-        "",
-        "robot of the demonstrations: the same as replays, or the nominal one",
-    ),
     "controller": Factor(
         "filter",
         read_controller,
@@ -242,29 +163,30 @@ FACTORS: dict[str, Factor] = {
 }
 
 
-def added_sensors(enabled: Collection[str]) -> list[AddedSensor]:
-    """Return the sensors that these factors add."""
-    return [f.sensor for name, f in FACTORS.items() if f.sensor and name in enabled]
+def added_sensors(factors: Mapping[str, Factor], enabled: Collection[str]) -> list[AddedSensor]:
+    """Return the sensors that some enabled factors add."""
+    return [f.sensor for name, f in factors.items() if f.sensor and name in enabled]
 
 
-def sigma_factors(given: Collection[str], added: Collection[AddedSensor] = ()) -> list[str]:
+def sigma_of(sensors: str) -> Factor:
+    """Return the factor of one sensor's σ, or of one group's."""
+    return Factor(
+        None, number(1e-6, 1e6), f"σ {sensors}", "1", f"σ of {sensors}, as a share of the range"
+    )
+
+
+def sigma_factors(
+    given: Collection[str], sensors: Collection[str], groups: Mapping[str, str]
+) -> list[str]:
     """Return, for each sensor, the most specific σ factor given: sensor, then group, then `sigma`.
 
     Args:
         given: the factors that have a value.
-        added: sensors beside the plane's.
+        sensors: their names.
+        groups: the group of each sensor that is in one.
     """
     found = []
-    for name in (*SENSOR_NAMES, *(sensor.name for sensor in added)):
-        group = ["sigma_proximeters"] if name.startswith("proximeter") else []
+    for name in sensors:
+        group = [f"sigma_{groups[name]}"] if name in groups else []
         found.append([f for f in ("sigma", *group, f"sigma_{name}") if f in given][-1])
     return found
-
-
-def sigma_of_sensors(values: dict[str, np.ndarray]) -> np.ndarray:
-    """Return σ of each sensor in its own unit, `[n, n_s]`, from the factors' values in n runs."""
-    given = {name for name, value in values.items() if value[0] is not None}
-    added = added_sensors({name for name in given if values[name][0]})
-    ranges = [*SENSOR_RANGES, *(sensor.range for sensor in added)]
-    columns = [values[name] for name in sigma_factors(given, added)]
-    return np.stack(columns, axis=1).astype(float) * np.array(ranges)

@@ -112,11 +112,24 @@ def positions(given: Any, key: str) -> tuple[tuple[float, float], ...]:
     return distinct(pairs, key)
 
 
-def path(given: Any, key: str) -> Path | None:
-    """Read a file's path, or None."""
-    if given is not None and not isinstance(given, str):
-        raise ValueError(f"{key} must be a file's path; got {given!r}")
-    return None if given is None else Path(given)
+def optional(read: Reader) -> Reader:
+    """Return a reader that also takes None."""
+
+    def read_or_none(given: Any, key: str) -> Any:
+        return None if given is None else read(given, key)
+
+    return read_or_none
+
+
+def environment(given: Any, key: str) -> str | dict[str, Any] | None:
+    """Read a Gymnasium environment: its id, or a table of its id and its arguments."""
+    name = given.get("id") if isinstance(given, dict) else given
+    if given is not None and not (isinstance(name, str) and name):
+        raise ValueError(
+            f'{key} must be an id of Gymnasium, such as "MountainCarContinuous-v0" or '
+            f'"module:NAME", or a table with id and the arguments of the environment; got {given!r}'
+        )
+    return given
 
 
 def plane(given: Any, key: str) -> PlaneParams:
@@ -157,15 +170,6 @@ def plain(value: Any) -> Any:
     if isinstance(value, np.ndarray | np.generic):
         value = value.tolist()
     return [plain(v) for v in value] if isinstance(value, list | tuple) else value
-
-
-def file(given: Any, key: str) -> Path:
-    """Read the path of a file that exists."""
-    if not isinstance(given, str):
-        raise ValueError(f"{key} must be a file's path; got {given!r}")
-    if not Path(given).is_file():
-        raise ValueError(f"{key}: there is no file {given}")
-    return Path(given)
 
 
 def known(given: dict, allowed: tuple[str, ...], prefix: str) -> None:

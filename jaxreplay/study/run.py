@@ -10,12 +10,12 @@ import xarray as xr
 
 from jaxreplay.loop.replay import Replays
 from jaxreplay.study.config import StudyConfig
-from jaxreplay.study.dataset import VARIABLES
+from jaxreplay.study.dataset import variables_of
 from jaxreplay.study.demonstrations import demonstrations
 from jaxreplay.study.open import open_study
 from jaxreplay.study.progress import Progress
 from jaxreplay.study.runs import runs_of, shard_size, shards_of
-from jaxreplay.study.shard import durations, outcomes, run_shard, run_shard_elsewhere
+from jaxreplay.study.shard import run_shard, run_shard_elsewhere
 from jaxreplay.study.store import check_format, claimed, manifest_of, read_shard, write_shard
 
 # Takes a function, an argument that all calls share, and each call's own arguments by key; runs the
@@ -36,7 +36,8 @@ def run_study(
         folder: made if absent; other files in it are left alone.
         progress: called first with what the folder contains, then after each control step, or
             after each shard that a worker did. Its arguments are, for all n runs of the study, the
-            outcomes `[n]`, empty for runs not ended, and the simulated seconds so far `[n]`.
+            outcomes `[n]`, empty for runs not ended, and the duration so far `[n]` (on the plane
+            in s, of an environment in steps).
             None: it is printed (see :mod:`jaxreplay.study.progress`).
         workers: opens processes to run shards in (see :mod:`jaxreplay.study.workers`); None: this
             process. On processors of the same kind the stored results are identical, byte for
@@ -53,15 +54,17 @@ def run_study(
     """
     folder = Path(folder)
     check_format(folder)  # before demonstrations are written into it
-    records = demonstrations(config, folder)  # by the robot that made them
+    records = demonstrations(config, folder)
     manifest = manifest_of(config, records, shard_size(config))
     runs = runs_of(config)
     outcome, duration = np.full(len(runs), "", "<U2"), np.zeros(len(runs))
-    progress = progress or Progress(len(runs), config.plane.time_limit)
+    world = config.world
+    progress = progress or Progress(len(runs), world.time_limit(), world.outcomes, world.speed)
+    variables = variables_of(world.outcomes, world.variables)
     with claimed(folder, manifest) as manifest:
         missing = {}
         for k, which in enumerate(shards_of(config, runs, manifest["shard"])):
-            shard = read_shard(folder, k, manifest, VARIABLES)
+            shard = read_shard(folder, k, manifest, variables)
             if shard is None:
                 missing[k] = which
             else:
@@ -72,7 +75,8 @@ def run_study(
             for k, which in missing.items():
 
                 def show(so_far: Replays, which: np.ndarray = which) -> None:
-                    outcome[which], duration[which] = outcomes(so_far), durations(config, so_far)
+                    outcome[which] = world.outcome(so_far)
+                    duration[which] = so_far.steps * world.step
                     progress(outcome, duration)
 
                 shard = run_shard(config, records, runs.of(which), which, show)

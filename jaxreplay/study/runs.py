@@ -10,13 +10,14 @@ import numpy as np
 from gymnasium.vector import VectorEnv
 
 from jaxreplay.params import Params
-from jaxreplay.plane.env import PlaneVectorEnv
 from jaxreplay.plane.options import SETTINGS, seed_of
 from jaxreplay.plane.params import NOMINAL, PlaneParams
-from jaxreplay.plane.positions import facing
 from jaxreplay.records import Records
 from jaxreplay.study.config import SLOTS, StudyConfig
-from jaxreplay.study.factors import FACTORS, AddedSensor, added_sensors, sigma_of_sensors
+from jaxreplay.study.factors import AddedSensor, added_sensors, sigma_factors
+
+# Records, by the simulated robot that made them; None: those of a file.
+Demonstrations = Mapping[PlaneParams | None, Records]
 
 
 class Runs(NamedTuple):
@@ -24,7 +25,7 @@ class Runs(NamedTuple):
 
     Attributes:
         values: of each factor in each run, `[n]` by name.
-        position: `[n]` index into the test positions.
+        position: `[n]` index into the test positions; 0 in an environment.
         repeat: `[n]`.
     """
 
@@ -51,14 +52,15 @@ class Runs(NamedTuple):
 
 
 def runs_of(config: StudyConfig) -> Runs:
-    """Return all runs of a study: its dimensions × positions × repeats."""
+    """Return all runs of a study: its dimensions × positions, if any, × repeats."""
     counts = [len(config.axes[name]) for name in config.dims]
-    grid = np.array(list(product(*map(range, (*counts, len(config.positions), config.repeats)))))
+    counts += [max(len(config.positions), 1), config.repeats]
+    grid = np.array(list(product(*map(range, counts))))
     *indices, position, repeat = grid.T
     values = {name: np.full(len(grid), value) for name, value in config.fixed.items()}
     for group, index in zip(config.dims.values(), indices, strict=True):
         values |= {name: np.array(config.axes[name])[index] for name in group}
-    return Runs({name: values[name] for name in FACTORS}, position, repeat)
+    return Runs({name: values[name] for name in config.world.factors}, position, repeat)
 
 
 def shard_size(config: StudyConfig) -> int:
@@ -68,7 +70,7 @@ def shard_size(config: StudyConfig) -> int:
 
 def shards_of(config: StudyConfig, runs: Runs, size: int) -> list[np.ndarray]:
     """Divide runs into shards of runs that can be replayed in one batch; return their indices."""
-    keys = {name: f.batch_key for name, f in FACTORS.items() if f.batch_key}
+    keys = {name: f.batch_key for name, f in config.world.factors.items() if f.batch_key}
     alike: dict[tuple, list[int]] = {}
     for k in range(len(runs)):
         key = tuple(of(runs.values[name][k], runs.repeat[k]) for name, of in keys.items())
@@ -78,14 +80,15 @@ def shards_of(config: StudyConfig, runs: Runs, size: int) -> list[np.ndarray]:
     ]
 
 
-def taught_by(config: StudyConfig, runs: Runs, k: int) -> PlaneParams:
-    """Return the robot that made the demonstrations of the k-th of these runs.
+def taught_by(config: StudyConfig, runs: Runs, k: int) -> PlaneParams | None:
+    """Return the simulated robot that made the demonstrations of the k-th of these runs.
 
-    It has the settings of the run's own robot, or the nominal ones. A file of demonstrations serves
-    all runs; the nominal robot stands for it.
+    It has the settings of the run's own robot, or the nominal ones. None: they are in a file.
     """
+    if config.demonstrations is not None:
+        return None
     settings = tuple(NOMINAL[name] for name in SETTINGS)
-    if not config.demonstrations and runs.values["taught"][k] == "alike":
+    if runs.values["taught"][k] == "alike":
         settings = tuple(_plain(runs.values[name][k]) for name in SETTINGS)
     return _robot(config.plane, settings)
 
@@ -96,7 +99,9 @@ def _robot(plane: PlaneParams, settings: tuple[Any, ...]) -> PlaneParams:
     return replace(plane, **dict(zip(SETTINGS, settings, strict=True)))
 
 
-def settings_of(config: StudyConfig, runs: Runs) -> tuple[Params, list[int], dict[str, np.ndarray]]:
+def settings_of(
+    config: StudyConfig, demonstrations: Demonstrations, runs: Runs
+) -> tuple[Params, list[int], dict[str, np.ndarray]]:
     """Return the parameters, seeds and reset options of n runs, for :func:`jaxreplay.replay`.
 
     A run's seed follows from the study's seed, the index of its position (not the coordinates) and
@@ -104,21 +109,23 @@ def settings_of(config: StudyConfig, runs: Runs) -> tuple[Params, list[int], dic
     compared in pairs.
 
     Returns:
-        `[n]`-batched parameters, n seeds, and options with n values each (`cube`: `[n, 3]`).
+        `[n]`-batched parameters, n seeds, and options with n values each (on the plane `cube`,
+        `[n, 3]`, and the robot's settings).
     """
-    values = runs.values
-    params = Params(values["theta_i"], values["theta_tau"], sigma_of_sensors(values))
+    values, world = runs.values, config.world
+    ranges = world.ranges(demonstrations[taught_by(config, runs, 0)])
+    ranges |= {s.name: s.range for s in added_sensors(world.factors, runs.enabled)}
+    given = {name for name, value in values.items() if value[0] is not None}
+    shares = [values[name] for name in sigma_factors(given, ranges, world.groups)]
+    sigma = np.stack(shares, axis=1).astype(float) * np.array(list(ranges.values()))
+    params = Params(values["theta_i"], values["theta_tau"], sigma)
     # The 1 keeps them apart from the seeds of demonstrations, (study's seed, index).
     where = zip(runs.position.tolist(), runs.repeat.tolist(), strict=True)
     seeds = [seed_of(config.seed, position, repeat, 1) for position, repeat in where]
-    options = {name: values[name] for name in SETTINGS}
-    options["cube"] = facing(np.array(config.positions)[runs.position])
-    return params, seeds, options
+    return params, seeds, world.options(values, runs.position)
 
 
-def records_of(
-    config: StudyConfig, demonstrations: Mapping[PlaneParams, Records], runs: Runs
-) -> Records:
+def records_of(config: StudyConfig, demonstrations: Demonstrations, runs: Runs) -> Records:
     """Return the records that the runs of one shard replay, of all demonstrations by robot.
 
     Sensors are added before records are chosen, so that a record's sensors do not depend on the
@@ -128,9 +135,10 @@ def records_of(
         ValueError: fewer records than the runs ask for.
     """
     records = demonstrations[taught_by(config, runs, 0)]
-    for sensor in added_sensors(runs.enabled):
+    factors = config.world.factors
+    for sensor in added_sensors(factors, runs.enabled):
         records = _with_sensor(records, sensor, config.seed)
-    for name, factor in FACTORS.items():
+    for name, factor in factors.items():
         value = runs.values[name][0]
         if factor.choose and value is not None:
             which = factor.choose(value, records.n_records, config.seed, int(runs.repeat[0]))
@@ -138,10 +146,10 @@ def records_of(
     return records
 
 
-def worlds_of(config: StudyConfig, runs: Runs) -> VectorEnv:
-    """Return the worlds in which the runs of one shard run."""
-    worlds = PlaneVectorEnv(min(config.slots, len(runs)), config.plane)
-    for sensor in added_sensors(runs.enabled):
+def worlds_of(config: StudyConfig, runs: Runs, render: bool = False) -> VectorEnv:
+    """Return the worlds in which the runs of one shard run; with `render`, to be looked at."""
+    worlds = config.world.make(min(config.slots, len(runs)), render)
+    for sensor in added_sensors(config.world.factors, runs.enabled):
         worlds = sensor.worlds(worlds)
     return worlds
 

@@ -2,7 +2,8 @@
 
 import platform
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
+from contextlib import closing
 from typing import Any
 
 import jax
@@ -14,13 +15,10 @@ from jaxreplay.filter.options import Options, options_of
 from jaxreplay.loop.audit import audit
 from jaxreplay.loop.replay import LostWarning, Replays, replay
 from jaxreplay.loop.rivals import controller_named
-from jaxreplay.plane.params import PlaneParams
-from jaxreplay.records import Records
 from jaxreplay.study.config import StudyConfig
-from jaxreplay.study.runs import Runs, records_of, settings_of, worlds_of
+from jaxreplay.study.runs import Demonstrations, Runs, records_of, settings_of, worlds_of
 from jaxreplay.study.store import RESULTS_FORMAT
 
-Demonstrations = Mapping[PlaneParams, Records]
 AUDITED = 56  # one run in this many is filtered again without windows
 
 
@@ -41,18 +39,15 @@ def run_shard(
         progress: called with the results so far after every control step.
 
     Returns:
-        The variables of :data:`jaxreplay.study.dataset.VARIABLES` along `run`.
+        The variables of :func:`jaxreplay.study.dataset.variables_of` along `run`.
     """
     filtered = runs.values["controller"] == "filter"
     audited = np.flatnonzero((which % AUDITED == 0) & filtered).tolist()
     replays = replays_of(config, demonstrations, runs, audited, progress)
-    outcome = outcomes(replays)
+    world = config.world
     results = {
-        "outcome": outcome,
-        "stall": replays.info["stall"],
-        "lifted": replays.info["was_lifted"],
-        "alignment_error": np.where(outcome == "S", 1e3 * replays.info["alignment_error"], np.nan),
-        "duration": durations(config, replays),
+        "outcome": world.outcome(replays),
+        **world.results(replays),
         "log_evidence": replays.log_evidence,
         "widened": replays.widened,
         "dropped": replays.dropped,
@@ -61,7 +56,7 @@ def run_shard(
     }
     for k in audited:
         one = runs.of(np.array([k]))
-        params = jax.tree.map(lambda x: x[0], settings_of(config, one)[0])
+        params = jax.tree.map(lambda x: x[0], settings_of(config, demonstrations, one)[0])
         found = audit(
             records_of(config, demonstrations, one),
             params,
@@ -104,14 +99,15 @@ def replays_of(
 
     `keep` lists the runs whose observations are returned.
     """
-    params, seeds, options = settings_of(config, runs)
-    with warnings.catch_warnings():
+    params, seeds, options = settings_of(config, demonstrations, runs)
+    worlds = worlds_of(config, runs)
+    with closing(worlds), warnings.catch_warnings():
         # A study's outcomes say which runs failed.
         warnings.simplefilter("ignore", LostWarning)
         return replay(
             records_of(config, demonstrations, runs),
             params,
-            worlds_of(config, runs),
+            worlds,
             seeds,
             **how_of(runs)._asdict(),
             options=options,
@@ -123,21 +119,5 @@ def replays_of(
 
 def how_of(runs: Runs) -> Options:
     """Return reading of a jump, start and end of the runs of one shard, which agree in them."""
-    return options_of(**{name: runs.values[name][0] for name in Options._fields})
-
-
-def outcomes(replays: Replays) -> np.ndarray:
-    """Return how replays in the plane ended, `[n]`, as in figure 3; empty while they run.
-
-    S: the cube is held and lifted when the replay ends. Fs: not ended within the time limit.
-    Fg: ended without the cube. Fb: left the experimental area.
-    """
-    success = replays.info.get("is_success", np.zeros(len(replays.ending), bool))
-    completed = np.where(success, "S", "Fg")
-    ways = [replays.ending == way for way in ("terminated", "completed", "truncated")]
-    return np.select(ways, ["Fb", completed, "Fs"], "")
-
-
-def durations(config: StudyConfig, replays: Replays) -> np.ndarray:
-    """Return how long replays in the plane took so far, `[n]` in s."""
-    return replays.steps * config.plane.control_period
+    values = {name: runs.values[name][0] for name in Options._fields}
+    return options_of(**values | {"last_steps": values["last_steps"] or None})

@@ -8,7 +8,7 @@ import hashlib
 import json
 import os
 import warnings
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
 from importlib.metadata import version
@@ -22,9 +22,10 @@ from jaxreplay.errors import ConfigError
 from jaxreplay.machine import write_whole
 from jaxreplay.plane.options import SETTINGS
 from jaxreplay.plane.params import PlaneParams
-from jaxreplay.records import Records
+from jaxreplay.study import parse
 from jaxreplay.study.config import StudyConfig
-from jaxreplay.study.factors import FACTORS
+from jaxreplay.study.runs import Demonstrations
+from jaxreplay.study.worlds.plane import PLANE_FACTORS
 
 try:
     import fcntl
@@ -36,39 +37,46 @@ except ImportError:  # Windows, where two processes in one folder are not kept a
 # Folders of another number can be read, but not continued.
 RESULTS_FORMAT = 2
 MANIFEST, LOCK, SHARDS = "study.json", "study.lock", "shards"
+_LIBRARIES = ("jax", "jaxlib", "numpy", "pymunk", "gymnasium")
 _VERSIONS = "versions"  # for information; they do not belong to the identity
 
 
 def manifest_of(
-    config: StudyConfig, demonstrations: Mapping[PlaneParams, Records], shard_size: int
+    config: StudyConfig, demonstrations: Demonstrations, shard_size: int
 ) -> dict[str, Any]:
     """Return the identity of a study: all that determines its results, and a hash of it.
 
     Args:
         config: the study.
-        demonstrations: by the robot that made them.
+        demonstrations: the records.
         shard_size: runs per shard; stored as `shard`.
     """
     content = hashlib.sha256()
     for records in demonstrations.values():
         for array in (records.nodes, records.commands, records.lengths, records.offset):
             content.update(np.ascontiguousarray(array).tobytes())
-    settings = asdict(config) | {"demonstrations": str(config.demonstrations or "")}
-    # A factor without a value is left out, so that a new kind of factor changes no existing study.
-    del settings["plane"]
+    file = parse.plain(config.demonstrations)
+    settings: dict[str, Any] = asdict(config) | {"demonstrations": "" if file is None else file}
+    # What a study does not use is left out, so that a new kind of factor or world changes no
+    # existing study.
     settings["fixed"] = {name: v for name, v in config.fixed.items() if v is not None}
-    identity = {
+    plane = settings.pop("plane")
+    unused = ("environment", "success_return") if config.environment is None else ("positions",)
+    for name in unused:
+        del settings[name]
+    identity: dict[str, Any] = {
         "config": settings,
-        "plane": {n: v for n, v in asdict(config.plane).items() if n not in SETTINGS},
         "demonstrations": content.hexdigest(),
         "dtype": str(next(iter(demonstrations.values())).nodes.dtype),
         "shard": shard_size,
         "format": RESULTS_FORMAT,
     }
+    if config.environment is None:
+        identity["plane"] = {n: v for n, v in plane.items() if n not in SETTINGS}
     identity = json.loads(json.dumps(identity))  # as it will be read again
     return identity | {
         "hash": hashlib.sha256(json.dumps(identity, sort_keys=True).encode()).hexdigest(),
-        _VERSIONS: {name: version(name) for name in ("jax", "jaxlib", "numpy", "pymunk")},
+        _VERSIONS: {name: version(name) for name in _LIBRARIES},
     }
 
 
@@ -185,10 +193,12 @@ def _completed(stored: dict[str, Any], wanted: dict[str, Any]) -> dict[str, Any]
     """Return a manifest with defaults for the factors and constants that it does not know."""
     config, plane = stored["config"], asdict(PlaneParams())
     new = set(wanted["config"]["fixed"]) - {*config["fixed"], *config["axes"]}
-    fixed = {name: FACTORS[name].default for name in new} | config["fixed"]
-    constants = {name: plane[name] for name in wanted["plane"]} | stored["plane"]
-    constants = json.loads(json.dumps(constants))
-    return stored | {"config": config | {"fixed": fixed}, "plane": constants}
+    defaults = {n: PLANE_FACTORS[n].default for n in new if n in PLANE_FACTORS}
+    completed = {"config": config | {"fixed": defaults | config["fixed"]}}
+    if "plane" in stored and "plane" in wanted:
+        constants = {name: plane[name] for name in wanted["plane"]} | stored["plane"]
+        completed["plane"] = json.loads(json.dumps(constants))
+    return stored | completed
 
 
 def _differences(stored: dict[str, Any], wanted: dict[str, Any]) -> list[str]:

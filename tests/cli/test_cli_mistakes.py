@@ -119,7 +119,7 @@ def test_a_mistake_in_set_is_reported_too(tmp_path, capsys, change, message):
     [
         ("theta_i = ", "tuned.toml: is not TOML"),
         (SMALL, "must contain theta_i, theta_tau and a table sigma, as jaxreplay tune saves"),
-        (TUNED.replace("proximeter_5", "sonar"), "4, sonar; the simulated robot has camera"),
+        (TUNED.replace("proximeter_5", "sonar"), "4, sonar; the study's are camera"),
         (TUNED.replace("= 0.1\n", "= 'a'\n"), "tuned.toml: sigma.proximeter_0 must be a number"),
         (TUNED.replace("= 0.1\n", "= 0\n"), "sigma_proximeter_0 must be in [1e-06, 1e+06]; got 0"),
         (TUNED.replace("0.03", "3"), "theta_i must be in [0, 1]; got 3"),

@@ -1,9 +1,10 @@
 import numpy as np
 import pytest
 import xarray as xr
+from study_helpers import VARIABLES
 
 from jaxreplay.figures.draw import draw
-from jaxreplay.study.factors import FACTORS
+from jaxreplay.study.worlds.plane import PLANE_FACTORS as FACTORS
 
 KINDS = np.array(["S", "Fs", "Fg", "Fb", ""])
 
@@ -32,7 +33,8 @@ def dataset(sizes, seed=0):
     coords |= {"cube_y": ("position", 0.05 * (np.arange(n) % 4 - 2))}
     both = {"alignment_error": np.ones(shape), "duration": np.ones(shape)}
     variables = {
-        name: (tuple(sizes), array) for name, array in ({"outcome": outcome} | both).items()
+        name: (tuple(sizes), array, VARIABLES[name])
+        for name, array in ({"outcome": outcome} | both).items()
     }
     return xr.Dataset(variables, coords)
 

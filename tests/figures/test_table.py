@@ -3,7 +3,7 @@ import re
 import numpy as np
 import pytest
 import xarray as xr
-from study_helpers import made_up_study, write
+from study_helpers import VARIABLES, made_up_study, write
 
 from jaxreplay import open_study
 from jaxreplay.figures.table import paired, table, wilson
@@ -97,7 +97,10 @@ def test_a_row_of_the_table_is_a_cell_of_the_study():
         "duration": [[60, 70, 180], [180, 180, 9]],
         "command_error": [[np.nan, 0.02, 1e-6], 3 * [np.nan]],
     }
-    variables = {name: (dims, np.array(cell).reshape(1, 2, 1, 3)) for name, cell in cells.items()}
+    variables = {
+        name: (dims, np.array(cell).reshape(1, 2, 1, 3), VARIABLES[name])
+        for name, cell in cells.items()
+    }
     coords = {
         "motor_unit": ("motor_unit", [0.0025], {"symbol": "motor unit", "units": "m/s"}),
         "dithering": ("dithering", [True, False], {"symbol": "dithering"}),
@@ -107,7 +110,7 @@ def test_a_row_of_the_table_is_a_cell_of_the_study():
     assert "in 1, at most by 2.0e-02" in audit
     assert header.split()[:4] == ["motor", "unit", "m/s", "dithering"]
     assert [" ".join(row.split()) for row in rows[:3]] == [
-        "0.0025 on 2 1 0 0 – 67 (21–94) – 0 1 0 2.00 ± 1.00 65.00 ± 5.00",
-        "0.0025 off 0 2 0 1 – 0 (0–56) -67 (-98, +18) 1 0 1 – –",
+        "0.0025 on 2 1 0 0 67 (21–94) – 0 1 0 2.00 ± 1.00 65.00 ± 5.00",
+        "0.0025 off 0 2 0 1 0 (0–56) -67 (-98, +18) 1 0 1 – –",
         "",
     ]

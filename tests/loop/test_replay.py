@@ -16,7 +16,7 @@ from jaxreplay.plane.env import PlaneVectorEnv
 from jaxreplay.plane.params import SENSOR_RANGES
 from jaxreplay.plane.positions import DEMONSTRATED, TESTED, facing
 from jaxreplay.study.demonstrations import record
-from jaxreplay.study.shard import outcomes
+from jaxreplay.study.worlds.plane import Plane
 
 pytestmark = pytest.mark.usefixtures("fewer_windows")
 
@@ -84,7 +84,7 @@ def test_the_loop_is_predict_command_act_observe_update(records, jump, monkeypat
     assert result.log_evidence[0] == pytest.approx(evidence, rel=1e-5)
     assert result.ending[0] == "truncated"
     assert result.steps[0] == 120
-    assert outcomes(result)[0] == "Fs"
+    assert Plane.outcome(result)[0] == "Fs"
 
 
 @pytest.mark.slow
@@ -163,7 +163,7 @@ def test_a_replay_restarted_in_a_tracker_is_a_new_one_and_leaves_the_others_alon
 def test_replays_fetch_the_cube_where_it_was_demonstrated(records):
     env = PlaneVectorEnv(5, OLD)
     result = run(records, DEMONSTRATED[[2, 7, 11, 13, 17]], "own_tau", theta_i=1e-3, env=env)
-    won = outcomes(result) == "S"
+    won = Plane.outcome(result) == "S"
     assert won.sum() >= 3
     assert (result.ending[won] == "completed").all()
     assert (result.info["alignment_error"][won] < OLD.magnet_offset).all()
@@ -175,11 +175,11 @@ def test_replays_fetch_the_cube_where_it_was_demonstrated(records):
 def test_outcomes_name_what_happened(records, beginnings):
     """With records cut before the grasp the replay ends without the cube; backwards it leaves."""
     ended = run(beginnings, TESTED[:1], "own_tau")
-    assert (ended.ending[0], outcomes(ended)[0]) == ("completed", "Fg")
+    assert (ended.ending[0], Plane.outcome(ended)[0]) == ("completed", "Fg")
     sensors, commands = records.sequences()
     away = Records.from_sequences(sensors, [np.full_like(c, -0.15) for c in commands])
     left = run(away, TESTED[:1], "own_tau")
-    assert (left.ending[0], outcomes(left)[0]) == ("terminated", "Fb")
+    assert (left.ending[0], Plane.outcome(left)[0]) == ("terminated", "Fb")
 
 
 def same(one, other, which=slice(None)):

@@ -12,8 +12,8 @@ from jaxreplay.plane.positions import DEMONSTRATED, facing
 from jaxreplay.study import again
 from jaxreplay.study.config import StudyConfig
 from jaxreplay.study.demonstrations import record
-from jaxreplay.study.factors import FACTORS
-from jaxreplay.study.shard import outcomes
+from jaxreplay.study.worlds.plane import PLANE_FACTORS as FACTORS
+from jaxreplay.study.worlds.plane import Plane
 
 OLD = PlaneParams(**NOMINAL)
 PARAMS = Params([0.1], [0.05], 0.1 * np.array(SENSOR_RANGES)[None])
@@ -34,9 +34,8 @@ def options():
 
 @pytest.fixture(scope="module")
 def trace(records, options):
-    return again.trace_of(
-        records, PARAMS, PlaneVectorEnv(1, OLD), Options("own_tau"), SEED, options
-    )
+    plane = Plane(OLD, np.zeros((0, 2)), taught=False)
+    return again.trace_of(plane, records, PARAMS, plane.make(1), Options("own_tau"), SEED, options)
 
 
 def test_a_trace_has_every_step_of_the_replay(records, options, trace):
@@ -44,17 +43,17 @@ def test_a_trace_has_every_step_of_the_replay(records, options, trace):
         records, PARAMS, PlaneVectorEnv(1, OLD), [SEED], jump="own_tau", options=options
     )
     n = replays.steps[0]
-    moving = trace.robot, trace.cube, trace.elevation, trace.tilt, trace.held
+    *moving, params = trace.scene
+    assert params == OLD
     for values in (trace.observations, trace.commands, trace.beliefs, *moving):
         assert len(values) == n
     assert replays.ending[0] == "completed"
-    assert trace.outcome == outcomes(replays)[0]
-    assert trace.stall == ""
-    assert np.isnan(trace.alignment_error)
-    assert trace.lengths.tolist() == 6 * [90]
-    assert trace.robot[0, 0] == 0
-    assert np.ptp(trace.robot[:, 2]) > 0.01  # each pose is of its own step
-    assert not trace.held.any()
+    assert trace.ending == Plane.outcome(replays)[0] == "Fg"
+    assert trace.period == OLD.control_period
+    assert trace.records.lengths.tolist() == 6 * [90]
+    assert trace.scene.robot[0, 0] == 0
+    assert np.ptp(trace.scene.robot[:, 2]) > 0.01  # each pose is of its own step
+    assert not trace.scene.held.any()
     np.testing.assert_array_equal(trace.observations[0, 1:], 0)
 
 
@@ -89,7 +88,7 @@ def test_a_run_is_labelled_with_the_studys_values(monkeypatch, records, trace):
     config = StudyConfig(axes, fixed, positions=positions, repeats=2)
     given = []
 
-    def trace_of(records, params, worlds, jump, seed, options, controller):
+    def trace_of(world, records, params, worlds, how, seed, options, controller):
         given.append((float(params.theta_i[0]), options["cube"][0, :2].tolist()))
         return trace
 
@@ -97,6 +96,7 @@ def test_a_run_is_labelled_with_the_studys_values(monkeypatch, records, trace):
     robots = by_robot(config, records)
     runs = [again.run_again(config, robots, k) for k in range(8)]
     cells = [(t, p, r) for t in (0.1, 0.2) for p in (0, 1) for r in (0, 1)]
-    assert [(run.values["θ_I"], run.position, run.repeat) for run in runs] == cells
+    labels = [(theta, f"position {p}, repeat {r}") for theta, p, r in cells]
+    assert [(run.values["θ_I"], run.place) for run in runs] == labels
     assert [theta for theta, _ in given] == pytest.approx([theta for theta, *_ in cells])
     np.testing.assert_allclose([cube for _, cube in given], [positions[p] for _, p, _ in cells])

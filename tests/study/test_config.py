@@ -3,9 +3,9 @@ import pytest
 from study_helpers import SMALL, TUNED, VARIED, write
 
 from jaxreplay.errors import ConfigError
-from jaxreplay.study.config import load_config, tuned_changes
-from jaxreplay.study.factors import FACTORS
+from jaxreplay.study.config import load_config
 from jaxreplay.study.runs import runs_of
+from jaxreplay.study.worlds.plane import PLANE_FACTORS as FACTORS
 
 
 def test_the_shipped_experiment_is_the_papers(request):
@@ -97,7 +97,7 @@ def test_what_set_says_takes_the_place_of_what_the_file_says(tmp_path):
 def test_an_axis_of_sigma_without_effect_is_refused(tmp_path, light):
     file = write(tmp_path, light + SMALL + "sigma = [0.1, 0.2]\nsigma_proximeters = [0.1, 0.2]\n")
     load_config(file)
-    tuned = tuned_changes(write(tmp_path, TUNED, "tuned.toml"))
+    tuned = write(tmp_path, TUNED, "tuned.toml")
     name = "sigma_proximeters" if light else "sigma"  # which is the light's, if there is one
     with pytest.raises(ConfigError, match=rf"axis\.{name} has no effect: each of its sensors"):
-        load_config(file, tuned)
+        load_config(file, params=tuned)

@@ -64,7 +64,7 @@ def test_controllers_meet_the_same_worlds(study):
     filtered, taped = (run_again(config, robots, k) for k in (0, 2))
     rest = slice(0, 5)  # both stand still at first
     np.testing.assert_array_equal(filtered.observations[rest], taped.observations[rest])
-    np.testing.assert_array_equal(filtered.cube[0], taped.cube[0])
+    np.testing.assert_array_equal(filtered.scene.cube[0], taped.scene.cube[0])
     assert taped.values["controller"] == "tape"
     assert taped.beliefs.shape[0] == len(taped.commands)
 

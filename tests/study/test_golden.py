@@ -17,10 +17,10 @@ from jaxreplay.loop import tracker
 from jaxreplay.plane.positions import DEMONSTRATED, TESTED
 from jaxreplay.study.config import StudyConfig
 from jaxreplay.study.demonstrations import record
-from jaxreplay.study.factors import FACTORS
 from jaxreplay.study.runs import runs_of, settings_of, shard_size, shards_of, taught_by
-from jaxreplay.study.shard import durations, outcomes, replays_of
+from jaxreplay.study.shard import replays_of
 from jaxreplay.study.store import RESULTS_FORMAT
+from jaxreplay.study.worlds.plane import PLANE_FACTORS as FACTORS
 
 FILE = Path(__file__).with_name("golden.json")
 ROWS = 100  # at the beginning of demonstrations and runs
@@ -63,10 +63,11 @@ def computed():
             patch.setattr(tracker, "WINDOWS", ())  # to compile less; the results are the same
             replays = replays_of(study, {robot: records}, runs.of(which), some, progress)
         observations[which] = [replays.observations[k][:ROWS] for k in some]
-        outcome[which], duration[which] = outcomes(replays), durations(study, replays)
+        outcome[which] = study.world.outcome(replays)
+        duration[which] = replays.steps * study.world.step
     return {
         "format": RESULTS_FORMAT,
-        "seeds": settings_of(study, runs)[1],
+        "seeds": settings_of(study, {robot: records}, runs)[1],
         "demonstrations": np.stack([demonstrated[i] for i in STORED]).round(5).tolist(),
         "lengths": np.asarray(records.lengths).tolist(),
         "observations": observations.round(5).tolist(),

@@ -9,9 +9,9 @@ from jaxreplay.plane.params import COMMAND_NAMES, SENSOR_NAMES, PlaneParams
 from jaxreplay.plane.positions import DEMONSTRATED, TESTED, facing
 from jaxreplay.study.config import StudyConfig
 from jaxreplay.study.demonstrations import record
-from jaxreplay.study.factors import FACTORS
 from jaxreplay.study.runs import records_of, runs_of, shards_of
 from jaxreplay.study.shard import replays_of
+from jaxreplay.study.worlds.plane import PLANE_FACTORS as FACTORS
 
 pytestmark = pytest.mark.usefixtures("fewer_windows")
 

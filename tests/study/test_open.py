@@ -7,12 +7,13 @@ from study_helpers import SMALL, VARIED, by_robot, made_up_study, some_records, 
 
 import jaxreplay as jr
 from jaxreplay.plane.positions import DEMONSTRATED
-from jaxreplay.study import again, config, factors, open, runs
+from jaxreplay.study import config, store
 from jaxreplay.study.config import load_config
 from jaxreplay.study.dataset import along, axes_of, cells, is_number
-from jaxreplay.study.factors import FACTORS
 from jaxreplay.study.open import config_of
 from jaxreplay.study.store import manifest_of, read_manifest
+from jaxreplay.study.worlds.plane import PLANE_FACTORS as FACTORS
+from jaxreplay.study.worlds.plane import Plane
 
 
 def identity(path, records):
@@ -27,8 +28,9 @@ def test_a_study_made_before_a_factor_was_known_stays_what_it_was(tmp_path, monk
     assert (before.outcome != "").all()
     assert identity(path, records) == stored["hash"]
     new = FACTORS | {"mood": FACTORS["light"]}
-    for module in (again, config, factors, open, runs):
-        monkeypatch.setattr(module, "FACTORS", new)
+    monkeypatch.setattr(Plane, "factors", new)
+    for module in (config, store):
+        monkeypatch.setattr(module, "PLANE_FACTORS", new)
     xr.testing.assert_identical(jr.open_study(tmp_path), before)
     assert identity(path, records) == stored["hash"]
     older = read_manifest(tmp_path)

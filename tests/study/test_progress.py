@@ -5,12 +5,14 @@ import numpy as np
 
 from jaxreplay.study.progress import Progress
 
+PLANE = ("S", "Fs", "Fg", "Fb"), "simulated s/s"
+
 
 def test_progress_is_shown_in_lines_where_there_is_no_terminal(capsys, monkeypatch):
     """Every tenth of the work: what came of the runs, how fast it goes, and how long it will."""
     now = [0.0]
     monkeypatch.setattr(time, "monotonic", lambda: now[0])
-    show, outcome, duration = Progress(20, 180), np.full(20, "", "<U2"), np.zeros(20)
+    show, outcome, duration = Progress(20, 180, *PLANE), np.full(20, "", "<U2"), np.zeros(20)
     outcome[:6], duration[:6] = "S", 100  # from an earlier call
     show(outcome, duration)
     assert capsys.readouterr().err == ""
@@ -32,7 +34,7 @@ def test_progress_is_shown_in_lines_where_there_is_no_terminal(capsys, monkeypat
 def test_progress_counts_simulated_seconds_before_any_run_has_ended(capsys, monkeypatch):
     now = [0.0]
     monkeypatch.setattr(time, "monotonic", lambda: now[0])
-    show, outcome, duration = Progress(4, 180), np.full(4, "", "<U2"), np.zeros(4)
+    show, outcome, duration = Progress(4, 180, *PLANE), np.full(4, "", "<U2"), np.zeros(4)
     show(outcome, duration)
     now[0] = 3.0
     show(outcome, duration + 45)
@@ -43,7 +45,7 @@ def test_progress_is_complete_only_when_all_runs_have_ended(capsys, monkeypatch)
     """The first run to end is the shortest: the others have lasted as long, and are not done."""
     now = [0.0]
     monkeypatch.setattr(time, "monotonic", lambda: now[0])
-    show, outcome, duration = Progress(10, 180), np.full(10, "", "<U2"), np.zeros(10)
+    show, outcome, duration = Progress(10, 180, *PLANE), np.full(10, "", "<U2"), np.zeros(10)
     show(outcome, duration)
     now[0], outcome[0] = 3.0, "S"
     show(outcome, duration + 40)

@@ -8,13 +8,12 @@ import time
 import numpy as np
 import pytest
 import xarray as xr
-from study_helpers import of_beginnings
+from study_helpers import VARIABLES, of_beginnings
 
 from jaxreplay import cli, open_study
 from jaxreplay.errors import ConfigError
 from jaxreplay.study import run, runs, shard
 from jaxreplay.study.config import load_config
-from jaxreplay.study.dataset import VARIABLES
 from jaxreplay.study.store import claimed, read_manifest, read_shard, write_shard
 
 pytestmark = pytest.mark.usefixtures("fewer_windows")

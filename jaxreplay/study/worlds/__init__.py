@@ -1,0 +1,1 @@
+"""The worlds in which the runs of a study happen: the simulated plane, or any environment."""
