@@ -15,7 +15,7 @@ from io import TextIOWrapper
 from jaxreplay.cli import inspect, list, new, plot, run, show, tune, watch
 from jaxreplay.errors import ConfigError
 
-DONE, MISTAKE, INTERRUPTED = 0, 2, 130
+DONE, MISTAKE = 0, 2
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -46,10 +46,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
         where = f"{error.filename}: " if error.filename else ""
         print(f"jaxreplay: {where}{error.strerror or error}", file=sys.stderr)
         return MISTAKE
-    except KeyboardInterrupt as interrupt:
-        detail = f"; {interrupt}" if interrupt.args else ""
-        print(f"\njaxreplay: interrupted{detail}", file=sys.stderr)
-        return INTERRUPTED
 
 
 def _parser() -> argparse.ArgumentParser:

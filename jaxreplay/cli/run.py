@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 from jaxreplay.cli.arguments import Commands, count
 from jaxreplay.cli.new import check_file
+from jaxreplay.cli.stop import leave_sigint_to_that_thread, note_on_stop
 from jaxreplay.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -81,17 +82,13 @@ def _run(options: argparse.Namespace) -> None:
     check_format(folder)
     runs = runs_of(config)
     shards = len(shards_of(config, runs, shard_size(config)))
+    note_on_stop("finished shards are kept; run the same command again to continue")
     print(f"{folder}: {_count(len(runs), 'run')} in {_count(shards, 'shard')}", file=sys.stderr)
     if options.dry_run:
         print(_cost(config, folder, len(runs), options), file=sys.stderr)
         return
-    try:
-        with _workers(options) as workers:
-            dataset = run_study(config, folder, workers=workers)
-    except KeyboardInterrupt:
-        raise KeyboardInterrupt(
-            "finished shards are kept; run the same command again to continue"
-        ) from None
+    with _workers(options) as workers:
+        dataset = run_study(config, folder, workers=workers)
     print(table(dataset), flush=True)  # drawing takes seconds
     print(f"{folder}: the study, {draw(dataset, folder)}")
 
@@ -137,8 +134,13 @@ def _workers(
         with workers_of(options.scheduler) as run_each:
             yield lambda: nullcontext(run_each)
     elif options.workers:
+        from multiprocessing import resource_tracker
+
         from jaxreplay.study.workers import local_workers
 
+        # Once for all, as it unblocks SIGINT in the thread from which it is started.
+        resource_tracker.ensure_running()
+        leave_sigint_to_that_thread()
         yield partial(local_workers, options.workers)
     else:
         yield None
