@@ -1,6 +1,7 @@
 """The machine this runs on: its cores, its disk, and JAX's cache of compiled programs."""
 
 import os
+import secrets
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -52,19 +53,20 @@ def read_toml(path: Path) -> dict[str, Any]:
 def write_whole(path: str | Path, content: bytes) -> None:
     """Write a file completely or not at all: a reader never finds part of it.
 
-    The content goes to `PATH.part` first, which then takes the place of `PATH`.
+    The content goes to a file of its own ending in `.part`, which then takes the place of `PATH`.
 
     Raises:
         OSError: the file cannot be written; what stood at `PATH` before is unchanged.
     """
     path = Path(path)
-    part = path.with_name(f"{path.name}.part")
+    part = path.with_name(f"{path.name}.{os.getpid()}-{secrets.token_hex(4)}.part")
     try:
         with part.open("wb") as file:
             file.write(content)
             file.flush()
             os.fsync(file.fileno())
         os.replace(part, path)
-    except OSError:
+    except OSError as error:
         part.unlink(missing_ok=True)
+        error.filename = str(path)  # a full disk does not name the file
         raise

@@ -87,6 +87,7 @@ def made_up_study(config, folder, seed=0, **manifest):
     runs, size = runs_of(config), shard_size(config)
     made = store.manifest_of(config, by_robot(config, some_records()), size) | manifest
     made = {name: entry for name, entry in made.items() if entry is not None}
+    made["hash"] = store.hash_of(made)
     (folder / store.SHARDS).mkdir(parents=True, exist_ok=True)
     (folder / store.MANIFEST).write_text(json.dumps(made))
     rng = np.random.default_rng(seed)
@@ -102,3 +103,16 @@ def made_up_study(config, folder, seed=0, **manifest):
         shard = xr.Dataset({name: ("run", values) for name, values in results.items()})
         store.write_shard(folder, k, made, shard)
     return made
+
+
+def as_made_before(folder, manifest, without=()):
+    """Store another manifest, and the shards as an older version did: without a checksum."""
+    manifest = {name: entry for name, entry in manifest.items() if name != "layout"}
+    manifest["hash"] = store.hash_of(manifest)
+    (folder / store.MANIFEST).write_text(json.dumps(manifest))
+    for path in (folder / store.SHARDS).glob("*.nc"):
+        with xr.open_dataset(path, engine="scipy") as shard:
+            older = shard.drop_vars(without).load()
+        older.attrs = {"study": manifest["hash"]}
+        older.to_netcdf(path, engine="scipy")
+    return manifest

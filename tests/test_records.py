@@ -1,3 +1,4 @@
+import io
 import pickle
 import zipfile
 
@@ -183,7 +184,7 @@ def test_damaged_numbers_are_an_error_whichever_byte_changed(tmp_path, records):
         ({"lengths": np.array([5, 3, 2, 2])}, "does not contain records"),
         ({"lengths": np.array([5, 3, 2])}, "does not contain records"),
         ({"lengths": np.array([5, 3, -2, 5])}, "does not contain records"),
-        ({"sensors": np.zeros(11)}, ": record 0: sensors must have shape"),
+        ({"sensors": np.zeros(11)}, "does not contain records"),
         ({"sensors": np.full((11, 2), np.nan)}, r": record 0: x is NaN in all"),
         ({"commands": np.zeros((10, 2))}, "does not contain records"),
         ({"sensor_names": np.array("x")}, "does not contain records"),
@@ -197,6 +198,27 @@ def test_foreign_or_inconsistent_file_is_an_error(tmp_path, records, parts, mess
     np.savez(tmp_path / "records.npz", **changed(records, **parts))
     with pytest.raises(ValueError, match=rf"records\.npz ?{message}"):
         Records.load(tmp_path / "records.npz")
+
+
+def test_a_file_that_claims_too_much_is_refused_before_memory_is_taken(
+    tmp_path, records, monkeypatch
+):
+    """A header of terabytes, and arrays that unpack to more than may be read."""
+    path = tmp_path / "records.npz"
+    records.save(path)
+    with zipfile.ZipFile(path) as file:
+        parts = {name: file.read(name) for name in file.namelist()}
+    claims = io.BytesIO()
+    header = {"descr": "<f8", "fortran_order": False, "shape": (10**12, 2)}
+    np.lib.format.write_array_header_1_0(claims, header)
+    with zipfile.ZipFile(tmp_path / "huge.npz", "w") as file:
+        for name, part in parts.items():
+            file.writestr(name, claims.getvalue() if name == "sensors.npy" else part)
+    with pytest.raises(ValueError, match=r"sensors is float64 \(1000000000000, 2\), not of its"):
+        Records.load(tmp_path / "huge.npz")
+    monkeypatch.setattr("jaxreplay.records.file.LARGEST", 100)
+    with pytest.raises(ValueError, match=r"its arrays take .* GiB; up to 2 can be read"):
+        Records.load(path)
 
 
 @pytest.mark.parametrize("content", [b"", b"x,y\n1,2\n", b"PK\x03\x04"])

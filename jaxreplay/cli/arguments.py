@@ -43,6 +43,12 @@ def opened(folder: Path) -> "xr.Dataset":
         dataset = open_study(folder)
     except ValueError as error:
         raise ConfigError(str(error)) from None
+    if unverified := dataset.attrs["unverified"]:
+        print(
+            f"{folder}: {unverified} shards are of an older version, which stored no checksum: not "
+            "verified",
+            file=sys.stderr,
+        )
     missing = int((dataset.outcome == "").sum())
     if missing:
         print(f"{folder}: {missing} of {dataset.outcome.size} runs are missing", file=sys.stderr)

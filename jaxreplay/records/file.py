@@ -1,13 +1,21 @@
 """The `.npz` file of :class:`Records`, read and checked."""
 
 import zipfile
-import zlib
+from math import prod
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-_BROKEN = (KeyError, ValueError, TypeError, OSError, EOFError, zipfile.BadZipFile, zlib.error)
+LARGEST = 2**31  # bytes of all arrays
+_KINDS = {  # of the arrays in a file: the kinds of types that each may have, and its dimensions
+    "sensors": ("fiu", 2),
+    "commands": ("fiu", 2),
+    "lengths": ("iu", 1),
+    "period": ("f", 0),
+    "sensor_names": ("U", 1),
+    "command_names": ("U", 1),
+}
 
 
 class Stored(NamedTuple):
@@ -39,9 +47,11 @@ def stored(path: str | Path) -> Stored:
         with open(path, "rb") as stream:
             if not zipfile.is_zipfile(stream):
                 raise ValueError("it is not a whole .npz file")
+            with zipfile.ZipFile(stream) as file:
+                _check_sizes(file)
             stream.seek(0)
             with np.load(stream, allow_pickle=False) as file:
-                parts = {name: file[name] for name in file.files}
+                parts = {name: file[name] for name in _KINDS}
         lengths = parts["lengths"]
         cuts = np.cumsum(lengths)[:-1]
         if np.min(lengths) < 1:
@@ -57,7 +67,38 @@ def stored(path: str | Path) -> Stored:
         raise FileNotFoundError(f"no records file {path}") from None
     except (PermissionError, IsADirectoryError):
         raise
-    except _BROKEN as error:
-        cause = "(truncated, or written by something else)"
-        raise ValueError(f"{path} does not contain records {cause}: {error}") from error
+    except Exception as error:  # damaged bytes can raise anything
+        cause = " ".join(f"{error}".split())[:200]
+        raise ValueError(
+            f"{path} does not contain records (truncated, or written by something else): {cause}"
+        ) from error
     return Stored(sensors, commands, sensor_names, command_names, period)
+
+
+def _check_sizes(file: zipfile.ZipFile) -> None:
+    """Check types and sizes of the arrays by their headers, before memory is allocated for them.
+
+    Raises:
+        ValueError: an array is missing, of a wrong type, too large, or not as large as it says.
+    """
+    total = 0
+    for name, (kinds, dimensions) in _KINDS.items():
+        with file.open(f"{name}.npy") as member:
+            shape, dtype = _header(member)
+            size = prod(shape) * dtype.itemsize
+            whole = member.tell() + size == file.getinfo(f"{name}.npy").file_size
+        total += size
+        if dtype.kind not in kinds or len(shape) != dimensions or not whole:
+            raise ValueError(f"{name} is {dtype} {shape}, not of its type or size")
+    if total > LARGEST:
+        raise ValueError(f"its arrays take {total / 2**30:.3g} GiB; up to 2 can be read")
+
+
+def _header(member: Any) -> tuple[tuple[int, ...], np.dtype]:
+    """Return the shape and the type of an array in a file."""
+    version = np.lib.format.read_magic(member)
+    read = np.lib.format.read_array_header_1_0
+    if version != (1, 0):
+        read = np.lib.format.read_array_header_2_0
+    shape, _, dtype = read(member)
+    return shape, dtype

@@ -1,6 +1,7 @@
 """A study's folder, read as one labelled dataset."""
 
 import json
+import warnings
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,7 @@ from jaxreplay.study.config import StudyConfig
 from jaxreplay.study.dataset import SINCE, dtype_of, variables_of
 from jaxreplay.study.factors import Factor
 from jaxreplay.study.runs import runs_of, shards_of
-from jaxreplay.study.store import read_manifest, read_shard
+from jaxreplay.study.store import ShardError, read_manifest, read_shard
 
 
 def open_study(folder: str | Path) -> xr.Dataset:
@@ -33,11 +34,15 @@ def open_study(folder: str | Path) -> xr.Dataset:
         `alignment_error` (mm, NaN unless S); of an environment `return` (sum of rewards) and
         `distance` (median over steps of the distance to the sample followed, σ). Axes that move
         together share the dimension of the first. Fixed factors are scalar coordinates. Missing
-        runs have an empty outcome and NaN.
+        runs have an empty outcome and NaN. The attribute `unverified` is the number of shards
+        stored by an older version, without a checksum.
+
+    Warns:
+        UserWarning: a shard is damaged; its runs are missing.
 
     Raises:
         FileNotFoundError: there is no study in the folder.
-        ValueError: its manifest is truncated, or not one of a study.
+        ValueError: its manifest is damaged, was edited, or is of a newer version.
     """
     folder = Path(folder)
     manifest = read_manifest(folder)
@@ -49,9 +54,15 @@ def open_study(folder: str | Path) -> xr.Dataset:
         for name, about in variables.items()
     }
     names = [n for n in variables if manifest.get("format", 0) >= SINCE.get(n, 0)]
+    unverified = 0
     for k, which in enumerate(shards_of(config, runs, manifest["shard"])):
-        shard = read_shard(folder, k, manifest, names)
+        try:
+            shard = read_shard(folder, k, manifest, names, len(which))
+        except ShardError as error:
+            warnings.warn(f"{error}; left out: jaxreplay run does its runs again", stacklevel=2)
+            continue
         if shard is not None:
+            unverified += "checksum" not in shard.attrs
             for name in names:
                 results[name][which] = shard[name].values.astype(results[name].dtype)
     sizes = {dim: len(config.axes[dim]) for dim in config.dims}
@@ -63,7 +74,7 @@ def open_study(folder: str | Path) -> xr.Dataset:
             for name, about in variables.items()
         },
         coords=_coordinates(config),
-        attrs={"manifest": json.dumps(manifest)},
+        attrs={"manifest": json.dumps(manifest), "unverified": unverified},
     )
 
 
@@ -81,7 +92,10 @@ def _config(manifest: dict[str, Any]) -> StudyConfig:
     if manifest.get("format", 0) < 2:  # before robots differed from run to run
         old = {n: v for n, v in NOMINAL.items() if n not in stored["axes"]} | {"taught": "nominal"}
         settings["fixed"] = old | stored["fixed"]
-    return StudyConfig(**settings)
+    try:
+        return StudyConfig(**settings)
+    except (TypeError, ValueError) as error:  # such as a factor of a newer version
+        raise ValueError(f"the study's config cannot be read: {error}") from None
 
 
 def _coordinates(config: StudyConfig) -> dict[str, Any]:

@@ -16,7 +16,15 @@ from jaxreplay.study.open import open_study
 from jaxreplay.study.progress import Progress
 from jaxreplay.study.runs import runs_of, shard_size, shards_of
 from jaxreplay.study.shard import run_shard, run_shard_elsewhere
-from jaxreplay.study.store import check_format, claimed, manifest_of, read_shard, write_shard
+from jaxreplay.study.store import (
+    ShardError,
+    check_format,
+    claim,
+    locked,
+    manifest_of,
+    read_shard,
+    write_shard,
+)
 
 # Takes a function, an argument that all calls share, and each call's own arguments by key; runs the
 # calls in workers and yields (key, result) as each ends.
@@ -52,19 +60,22 @@ def run_study(
         OSError: the folder cannot be written; workers cannot be reached, or were lost. Finished
             shards are kept.
     """
-    folder = Path(folder)
-    check_format(folder)  # before demonstrations are written into it
-    records = demonstrations(config, folder)
-    manifest = manifest_of(config, records, shard_size(config))
-    runs = runs_of(config)
+    folder, world, runs = Path(folder), config.world, runs_of(config)
+    check_format(folder)
+    # Those of a file are checked before anything is written, those of the teacher made once locked.
+    records = demonstrations(config, folder) if config.demonstrations is not None else None
     outcome, duration = np.full(len(runs), "", "<U2"), np.zeros(len(runs))
-    world = config.world
     progress = progress or Progress(len(runs), world.time_limit(), world.outcomes, world.speed)
     variables = variables_of(world.outcomes, world.variables)
-    with claimed(folder, manifest) as manifest:
+    with locked(folder):
+        records = records or demonstrations(config, folder)
+        manifest = claim(folder, manifest_of(config, records, shard_size(config)))
         missing = {}
         for k, which in enumerate(shards_of(config, runs, manifest["shard"])):
-            shard = read_shard(folder, k, manifest, variables)
+            try:
+                shard = read_shard(folder, k, manifest, variables, len(which))
+            except ShardError:
+                shard = None
             if shard is None:
                 missing[k] = which
             else:

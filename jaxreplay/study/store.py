@@ -12,6 +12,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
 from importlib.metadata import version
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -36,7 +37,10 @@ except ImportError:  # Windows, where two processes in one folder are not kept a
 # (tests/study/test_golden.py fails then).
 # Folders of another number can be read, but not continued.
 RESULTS_FORMAT = 2
+LAYOUT = 2  # of the files: since 2 every shard has a checksum. Of older folders this is absent.
 MANIFEST, LOCK, SHARDS = "study.json", "study.lock", "shards"
+# Entries that every manifest has, and their types.
+_ENTRIES = {"config": dict, "demonstrations": str, "dtype": str, "shard": int, "hash": str}
 _LIBRARIES = ("jax", "jaxlib", "numpy", "pymunk", "gymnasium")
 _VERSIONS = "versions"  # for information; they do not belong to the identity
 
@@ -70,12 +74,13 @@ def manifest_of(
         "dtype": str(next(iter(demonstrations.values())).nodes.dtype),
         "shard": shard_size,
         "format": RESULTS_FORMAT,
+        "layout": LAYOUT,
     }
     if config.environment is None:
         identity["plane"] = {n: v for n, v in plane.items() if n not in SETTINGS}
     identity = json.loads(json.dumps(identity))  # as it will be read again
     return identity | {
-        "hash": hashlib.sha256(json.dumps(identity, sort_keys=True).encode()).hexdigest(),
+        "hash": hash_of(identity),
         _VERSIONS: {name: version(name) for name in _LIBRARIES},
     }
 
@@ -88,6 +93,8 @@ def check_format(folder: Path) -> None:
     """
     try:
         made = read_manifest(folder).get("format", 0)
+    except NewerError as error:
+        raise ConfigError(str(error)) from None
     except (FileNotFoundError, ValueError):
         return
     if made != RESULTS_FORMAT:
@@ -99,15 +106,11 @@ def check_format(folder: Path) -> None:
 
 
 @contextmanager
-def claimed(folder: Path, manifest: dict[str, Any]) -> Iterator[dict[str, Any]]:
-    """Reserve a folder for this process and a study; yield the manifest stored there.
-
-    The manifest is written if there is none; one that is damaged is renamed first. One that was
-    written before a factor or a constant existed is of the same study where this has its default.
+def locked(folder: Path) -> Iterator[None]:
+    """Reserve a folder for this process; it is made if absent.
 
     Raises:
-        ConfigError: it contains another study (the message lists the differences), or another
-            process is running in it.
+        ConfigError: another process is running in it.
     """
     (folder / SHARDS).mkdir(parents=True, exist_ok=True)
     with (folder / LOCK).open("w") as lock:
@@ -118,29 +121,41 @@ def claimed(folder: Path, manifest: dict[str, Any]) -> Iterator[dict[str, Any]]:
                 raise ConfigError(
                     f"{folder}: another process is running this study; wait, or give another --out"
                 ) from None
-        try:
-            stored = read_manifest(folder)
-        except FileNotFoundError:
-            stored = None
-        except ValueError:
-            set_aside(folder / MANIFEST)
-            stored = None
-        if stored is None:
-            write_whole(folder / MANIFEST, json.dumps(manifest, indent=1).encode())
-        elif differs := _differences(_completed(stored, manifest), manifest):
-            raise ConfigError(
-                f"{folder} contains another study, which differs in {', '.join(differs)}; give "
-                "another --out"
-            )
-        yield stored or manifest
+        yield
+
+
+def claim(folder: Path, manifest: dict[str, Any]) -> dict[str, Any]:
+    """Reserve a locked folder for a study; return the manifest stored there.
+
+    The manifest is written if there is none; one that is damaged is renamed first. One that was
+    written before a factor or a constant existed is of the same study where this has its default.
+
+    Raises:
+        ConfigError: it contains another study; the message lists the differences.
+    """
+    try:
+        stored = read_manifest(folder)
+    except FileNotFoundError:
+        stored = None
+    except ValueError as error:
+        set_aside(folder / MANIFEST, str(error))
+        stored = None
+    if stored is None:
+        write_whole(folder / MANIFEST, json.dumps(manifest, indent=1).encode())
+    elif differs := _differences(_completed(stored, manifest), manifest):
+        raise ConfigError(
+            f"{folder} contains another study, which differs in {', '.join(differs)}; give "
+            "another --out"
+        )
+    return stored or manifest
 
 
 def read_manifest(folder: Path) -> dict[str, Any]:
-    """Return the manifest of the study in a folder.
+    """Return the manifest of the study in a folder, once it is verified.
 
     Raises:
         FileNotFoundError: there is none.
-        ValueError: the file is truncated, or no manifest.
+        ValueError: the file is damaged, was edited, is no manifest, or is of a newer version.
     """
     path = folder / MANIFEST
     if not path.is_file():
@@ -148,41 +163,109 @@ def read_manifest(folder: Path) -> dict[str, Any]:
             f"no study in {folder}: {MANIFEST} is missing; jaxreplay run makes it"
         )
     try:
-        manifest = json.loads(path.read_text())
-        if manifest["hash"] and manifest["config"]:
-            return manifest
-    except (ValueError, KeyError, TypeError):
-        pass
-    raise ValueError(f"{path} is not the manifest of a study (truncated?)")
+        manifest = json.loads(path.read_text("utf-8"))
+        entries = [manifest[name] for name in _ENTRIES]
+    except (ValueError, KeyError, TypeError, RecursionError):
+        raise ValueError(f"{path} is not the manifest of a study (truncated?)") from None
+    if not all(map(isinstance, entries, _ENTRIES.values())) or manifest["hash"] != hash_of(
+        manifest
+    ):
+        raise ValueError(
+            f"{path} is damaged or was edited: it does not fit its hash; put it back as it was, or "
+            "run the study in another folder"
+        )
+    if manifest.get("format", 0) > RESULTS_FORMAT:
+        raise NewerError(
+            f"{path} is of a newer version of jaxreplay (results format {manifest['format']}; this "
+            f"one knows up to {RESULTS_FORMAT}); install that"
+        )
+    return manifest
+
+
+def hash_of(manifest: dict[str, Any]) -> str:
+    """Return the hash of a study's identity: of its manifest but for the hash and the versions."""
+    identity = {name: v for name, v in manifest.items() if name not in ("hash", _VERSIONS)}
+    return hashlib.sha256(json.dumps(identity, sort_keys=True).encode()).hexdigest()
+
+
+class NewerError(ValueError):
+    """A study was made by a newer version of this package."""
+
+
+class ShardError(ValueError):
+    """A shard is damaged, or is another one than its name says."""
 
 
 def read_shard(
-    folder: Path, k: int, manifest: dict[str, Any], names: Iterable[str]
+    folder: Path, k: int, manifest: dict[str, Any], names: Iterable[str], n: int
 ) -> xr.Dataset | None:
-    """Return the named variables of a shard; None if it is missing, damaged or of another study."""
+    """Return the named variables of a shard, once it is verified; None if it is missing.
+
+    Its attribute `checksum` is absent in a shard of an older version, which had none.
+
+    Args:
+        folder: of the study.
+        k: index of the shard.
+        manifest: of the study.
+        names: of the variables.
+        n: number of its runs.
+
+    Raises:
+        ShardError: it is damaged, or of another study, or of another place in this one.
+    """
     path = _path(folder, k)
     try:
         with xr.open_dataset(path, engine="scipy") as dataset:
             dataset = dataset.load()
-        return dataset[list(names)] if dataset.attrs["study"] == manifest["hash"] else None
-    except (OSError, ValueError, TypeError, KeyError, AttributeError, IndexError):
+        given = dataset.attrs
+        if given["study"] != manifest["hash"]:
+            raise ShardError(f"{path} is of another study")
+        old = "checksum" not in given and manifest.get("layout", 1) < LAYOUT
+        expected = {"shard": k, "runs": n, "checksum": _checksum(dataset)}
+        whole = old or all(given[name] == value for name, value in expected.items())
+        if dataset.sizes != {"run": n} or not whole:
+            raise ShardError(f"{path} is damaged, or another shard: it does not fit its checksum")
+        return dataset[list(names)]
+    except FileNotFoundError:
         return None
+    except ShardError:
+        raise
+    except Exception as error:  # parsing damaged bytes can raise anything
+        raise ShardError(f"{path} is damaged: {type(error).__name__}") from None
 
 
 def write_shard(folder: Path, k: int, manifest: dict[str, Any], dataset: xr.Dataset) -> None:
     """Store a finished shard; an unreadable file in its place is renamed, not lost."""
     path = _path(folder, k)
     if path.exists():
-        set_aside(path)
-    dataset = dataset.assign_attrs(study=manifest["hash"])
+        set_aside(path, f"{path} is damaged, or not of this study")
+    attrs = {"study": manifest["hash"], "shard": k, "runs": dataset.sizes["run"]}
+    dataset = dataset.assign_attrs(attrs, checksum=_checksum(dataset))
     write_whole(path, bytes(dataset.to_netcdf(engine="scipy")))
 
 
-def set_aside(path: Path) -> None:
-    """Rename a damaged file to `PATH.bad`, and warn."""
-    aside = path.with_suffix(f"{path.suffix}.bad")
+def set_aside(path: Path, why: str) -> None:
+    """Rename a damaged file to `PATH.bad`, or `PATH.2.bad` and so on, and warn."""
+    aside = path.with_name(f"{path.name}.bad")
+    for number in count(2):
+        if not aside.exists():
+            break
+        aside = path.with_name(f"{path.name}.{number}.bad")
     os.replace(path, aside)
-    warnings.warn(f"{path} is damaged or not of this study; kept as {aside.name}", stacklevel=2)
+    warnings.warn(f"{why}; kept as {aside.name}", stacklevel=2)
+
+
+def _checksum(dataset: xr.Dataset) -> str:
+    """Return a hash of the names and the values of all variables, whatever types they have."""
+    content = hashlib.sha256()
+    for name in sorted(map(str, dataset.data_vars)):
+        values = dataset[name].values
+        text = values.dtype.kind in "USO"
+        content.update(name.encode() + b"\0")
+        content.update(
+            "\0".join(map(str, values)).encode() if text else values.astype("<f8").tobytes()
+        )
+    return content.hexdigest()
 
 
 def _path(folder: Path, k: int) -> Path:
@@ -204,7 +287,7 @@ def _completed(stored: dict[str, Any], wanted: dict[str, Any]) -> dict[str, Any]
 def _differences(stored: dict[str, Any], wanted: dict[str, Any]) -> list[str]:
     """Return the keys, dotted, whose values differ."""
     found = []
-    for key in sorted({*stored, *wanted} - {"hash", _VERSIONS}):
+    for key in sorted({*stored, *wanted} - {"hash", "layout", _VERSIONS}):
         a, b = stored.get(key), wanted.get(key)
         if isinstance(a, dict) and isinstance(b, dict):
             found += [f"{key}.{name}" for name in _differences(a, b)]

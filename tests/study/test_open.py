@@ -1,9 +1,15 @@
-import json
-
 import numpy as np
 import pytest
 import xarray as xr
-from study_helpers import SMALL, VARIED, by_robot, made_up_study, some_records, write
+from study_helpers import (
+    SMALL,
+    VARIED,
+    as_made_before,
+    by_robot,
+    made_up_study,
+    some_records,
+    write,
+)
 
 import jaxreplay as jr
 from jaxreplay.plane.positions import DEMONSTRATED
@@ -35,7 +41,7 @@ def test_a_study_made_before_a_factor_was_known_stays_what_it_was(tmp_path, monk
     assert identity(path, records) == stored["hash"]
     older = read_manifest(tmp_path)
     del older["config"]["zip"], older["config"]["positions"]  # nor were these
-    (tmp_path / "study.json").write_text(json.dumps(older))
+    as_made_before(tmp_path, older)
     assert config_of(jr.open_study(tmp_path)).positions == load_config(path).positions
 
 

@@ -4,8 +4,7 @@ import json
 
 import numpy as np
 import pytest
-import xarray as xr
-from study_helpers import by_robot, made_up_study, some_records, write
+from study_helpers import as_made_before, by_robot, made_up_study, some_records, write
 
 from jaxreplay import cli, open_study
 from jaxreplay.errors import ConfigError
@@ -14,7 +13,7 @@ from jaxreplay.study.config import load_config
 from jaxreplay.study.run import run_study
 
 TEXT = "theta_i = 0.01\n[axis]\njump = ['own_tau', 'same_tau']"
-OTHERS = [1, 3, None]
+OTHERS = [1, None]
 
 
 @pytest.fixture
@@ -47,6 +46,20 @@ def test_a_study_of_another_format_is_read_and_never_continued(config, tmp_path,
         run_study(load_config(config), folder)
     assert content(folder) == before
     assert {path.name for path in folder.iterdir()} == {"study.json", "shards"}
+
+
+def test_a_study_of_a_newer_version_is_refused_in_one_line(config, tmp_path, capsys):
+    folder = tmp_path / "out"
+    made_up_study(config, folder, format=store.RESULTS_FORMAT + 1)
+    before = content(folder)
+    for command in (["show"], ["plot"], ["watch"]):
+        assert cli.main([*command, str(folder)]) == 2
+        error = capsys.readouterr().err
+        assert error.count("\n") == 1
+        assert "is of a newer version of jaxreplay" in error
+    assert cli.main(["run", str(config), "--out", str(folder)]) == 2
+    assert "is of a newer version of jaxreplay" in capsys.readouterr().err
+    assert content(folder) == before
 
 
 def test_an_unfinished_study_of_another_format_is_not_continued_either(config, tmp_path):
@@ -101,12 +114,9 @@ def test_a_study_of_format_1_is_read_as_of_the_world_of_its_time(tmp_path):
     new = ("track_bias", "placing", "heading", "cube_turn", "taught", "controller")
     for name in new:
         del stored["config"]["fixed"][name]
-    (folder / "study.json").write_text(json.dumps(stored))
-    for path in (folder / "shards").glob("*.nc"):
-        with xr.open_dataset(path, engine="scipy") as shard:
-            older = shard.drop_vars("lifted").load()
-        older.to_netcdf(path, engine="scipy")
+    as_made_before(folder, stored, ["lifted"])
     dataset = open_study(folder)
+    assert dataset.unverified == 2
     assert (dataset.outcome != "").all()
     assert np.isnan(dataset.lifted).all()
     assert dataset.taught.item() == "nominal"
@@ -119,14 +129,10 @@ def test_a_folder_made_before_a_factor_or_constant_existed_is_continued(config, 
     wanted = made_up_study(config, folder)
     older = json.loads(json.dumps(wanted))
     del older["config"]["fixed"]["controller"], older["plane"]["lift"]
-    (folder / "study.json").write_text(json.dumps(older))
-    with store.claimed(folder, wanted) as manifest:
-        assert manifest == older  # whose hash the finished shards have
+    older = as_made_before(folder, older)
+    assert store.claim(folder, wanted) == older  # whose hash the finished shards have
     other = store.manifest_of(
         load_config(config, ["controller=tape"]), by_robot(study, some_records()), 56
     )
-    with (
-        pytest.raises(ConfigError, match=r"differs in config\.fixed\.controller;"),
-        store.claimed(folder, other),
-    ):
-        pass
+    with pytest.raises(ConfigError, match=r"differs in config\.fixed\.controller;"):
+        store.claim(folder, other)

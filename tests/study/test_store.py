@@ -14,7 +14,7 @@ from jaxreplay import cli, open_study
 from jaxreplay.errors import ConfigError
 from jaxreplay.study import run, runs, shard
 from jaxreplay.study.config import load_config
-from jaxreplay.study.store import claimed, read_manifest, read_shard, write_shard
+from jaxreplay.study.store import locked, read_manifest, read_shard, write_shard
 
 pytestmark = pytest.mark.usefixtures("fewer_windows")
 
@@ -87,8 +87,14 @@ def test_only_what_is_missing_is_run_and_comes_to_the_same_bytes(finished, tmp_p
     xr.testing.assert_identical(open_study(again), open_study(folder))
 
 
+def flipped(content, at, bit=0):
+    """The bytes with one bit changed."""
+    return content[:at] + bytes([content[at] ^ (1 << bit)]) + content[at + 1 :]
+
+
 @pytest.mark.parametrize(
-    "damage", ["cut", "emptied", "garbage", "of another study", "of another kind"]
+    "damage",
+    ["cut", "emptied", "garbage", "of another study", "of another kind", "of another shard", "bit"],
 )
 def test_a_shard_that_is_damaged_or_foreign_is_set_aside_and_run_again(
     finished, tmp_path, monkeypatch, damage
@@ -103,10 +109,13 @@ def test_a_shard_that_is_damaged_or_foreign_is_set_aside_and_run_again(
         "garbage": b"CDF\x01 not much",
         "of another study": whole.replace(read_manifest(again)["hash"].encode(), 64 * b"0"),
         "of another kind": whole.replace(b"duration", b"gradient"),
+        "of another shard": (again / "shards" / "00000.nc").read_bytes(),
+        "bit": flipped(whole, whole.rindex(b"\x40")),  # of a float's exponent
     }[damage]
     path.write_bytes(spoilt)
-    assert (open_study(again).outcome == "").sum() == 2
-    with pytest.warns(UserWarning, match=r"00001\.nc is damaged or not of this study; kept as"):
+    with pytest.warns(UserWarning, match=r"00001\.nc is .*; left out: jaxreplay run does its runs"):
+        assert (open_study(again).outcome == "").sum() == 2
+    with pytest.warns(UserWarning, match=r"00001\.nc is damaged, or not of this study; kept as"):
         run.run_study(load_config(config), again)
     assert computed == [2]
     assert shards(again) == shards(folder)
@@ -119,7 +128,7 @@ def test_a_truncated_manifest_is_set_aside(finished, tmp_path, monkeypatch):
     (again / "study.json").write_text((folder / "study.json").read_text()[:-40])
     with pytest.raises(ValueError, match="is not the manifest of a study"):
         open_study(again)
-    with pytest.warns(UserWarning, match=r"study\.json is damaged"):
+    with pytest.warns(UserWarning, match=r"study\.json is not the manifest .*; kept as"):
         run.run_study(load_config(config), again)
     assert computed == []
     assert read_manifest(again) == read_manifest(folder)
@@ -138,7 +147,7 @@ def test_a_folder_of_another_study_is_refused_and_left_alone(finished, tmp_path)
 def test_two_at_once_in_a_folder_are_reported(finished, tmp_path, capsys):
     config, folder = finished
     again = copy_of(folder, tmp_path)
-    with claimed(again, read_manifest(again)):
+    with locked(again):
         assert cli.main(["run", str(config), "--out", str(again)]) == 2
     assert "another process is running this study" in capsys.readouterr().err
     assert cli.main(["run", str(config), "--out", str(again)]) == 0
@@ -170,7 +179,7 @@ def test_a_full_disk_is_reported_and_leaves_no_half_file(finished, tmp_path, mon
     config, folder = finished
     again = copy_of(folder, tmp_path)
     manifest = read_manifest(again)
-    dataset = read_shard(again, 1, manifest, VARIABLES)
+    dataset = read_shard(again, 1, manifest, VARIABLES, 2)
     (again / "shards" / "00001.nc").unlink()
     monkeypatch.setattr(run, "run_shard", lambda *args: dataset)
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)
