@@ -1,6 +1,7 @@
 """Arguments and their checks that several commands share."""
 
 import argparse
+import re
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -20,6 +21,23 @@ def count(text: str) -> int:
     if not text.isdecimal() or int(text) < 1:
         raise argparse.ArgumentTypeError(f"must be a whole number, 1 or more; got {text}")
     return int(text)
+
+
+def seconds(text: str) -> float:
+    """Read a time in s, 0 or more."""
+    value = float(text)
+    if not 0 <= value < float("inf"):
+        raise argparse.ArgumentTypeError(f"must be 0 s or more; got {text}")
+    return value
+
+
+def address(text: str) -> str:
+    """Read the address of a scheduler."""
+    if not re.fullmatch(r"((tcp|tls|ucx|ws|wss)://)?[^\s/:]+:\d+|\w+://\S+", text):
+        raise argparse.ArgumentTypeError(
+            f"must be an address, such as tcp://10.0.0.1:8786; got {text!r}"
+        )
+    return text
 
 
 def speed(text: str) -> float:

@@ -9,7 +9,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
-from jaxreplay.cli.arguments import Commands, count
+from jaxreplay.cli.arguments import Commands, address, count, seconds
 from jaxreplay.cli.new import check_file
 from jaxreplay.cli.stop import leave_sigint_to_that_thread, note_on_stop
 from jaxreplay.errors import ConfigError
@@ -17,6 +17,13 @@ from jaxreplay.errors import ConfigError
 if TYPE_CHECKING:
     from jaxreplay.study.config import StudyConfig
     from jaxreplay.study.run import RunEach
+
+
+_CERTIFICATES = {
+    "ca": "certificate of the authority",
+    "cert": "certificate of this client",
+    "key": "private key of this client",
+}
 
 
 def add_to(commands: Commands) -> None:
@@ -39,7 +46,24 @@ def add_to(commands: Commands) -> None:
         "--workers", type=count, metavar="N", help="run in N processes on this machine"
     )
     where.add_argument(
-        "--scheduler", metavar="ADDRESS", help="run on the workers of this Dask scheduler"
+        "--scheduler",
+        type=address,
+        metavar="ADDRESS",
+        help="run on the workers of this Dask scheduler, such as tcp://10.0.0.1:8786",
+    )
+    for name, what in _CERTIFICATES.items():
+        parser.add_argument(
+            f"--tls-{name}",
+            type=Path,
+            metavar="FILE",
+            help=f"{what}, for a scheduler at tls://… (default: of Dask's configuration)",
+        )
+    parser.add_argument(
+        "--patience",
+        type=seconds,
+        default=60.0,
+        metavar="SECONDS",
+        help="give up after this time without any worker (default: 60)",
     )
     parser.add_argument(
         "--set",
@@ -74,6 +98,7 @@ def _run(options: argparse.Namespace) -> None:
     from jaxreplay.study.store import check_format
 
     check_file(options.file)
+    _check_certificates(options)
     keep_compiled()
     config = load_config(options.file, options.changes, options.params)
     folder = options.out or Path("results") / options.file.stem
@@ -91,6 +116,24 @@ def _run(options: argparse.Namespace) -> None:
         dataset = run_study(config, folder, workers=workers)
     print(table(dataset), flush=True)  # drawing takes seconds
     print(f"{folder}: the study, {draw(dataset, folder)}")
+
+
+def _check_certificates(options: argparse.Namespace) -> None:
+    """Check that all three files of certificates are given, or none, and exist.
+
+    Raises:
+        ConfigError: they are not.
+    """
+    given = {name: getattr(options, f"tls_{name}") for name in _CERTIFICATES}
+    if not any(given.values()):
+        return
+    if options.scheduler is None:
+        raise ConfigError("--tls-ca, --tls-cert and --tls-key are for a --scheduler")
+    for name, path in given.items():
+        if path is None:
+            raise ConfigError(f"--tls-{name} is missing: all of --tls-ca, --tls-cert, --tls-key")
+        if not path.is_file():
+            raise ConfigError(f"--tls-{name} {path}: there is no such file")
 
 
 def _count(n: int, what: str) -> str:
@@ -129,9 +172,11 @@ def _workers(
     A scheduler is connected to at once, so that a mistake is reported before any work is done.
     """
     if options.scheduler:
-        from jaxreplay.study.workers import workers_of
+        from jaxreplay.study.workers import Certificates, workers_of
 
-        with workers_of(options.scheduler) as run_each:
+        files = [getattr(options, f"tls_{name}") for name in _CERTIFICATES]
+        certificates = Certificates(*files) if any(files) else None
+        with workers_of(options.scheduler, certificates, options.patience) as run_each:
             yield lambda: nullcontext(run_each)
     elif options.workers:
         from multiprocessing import resource_tracker
@@ -141,6 +186,6 @@ def _workers(
         # Once for all, as it unblocks SIGINT in the thread from which it is started.
         resource_tracker.ensure_running()
         leave_sigint_to_that_thread()
-        yield partial(local_workers, options.workers)
+        yield partial(local_workers, options.workers, options.patience)
     else:
         yield None

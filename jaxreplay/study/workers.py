@@ -4,13 +4,17 @@ import ctypes
 import logging
 import os
 import signal
+import time
+import warnings
 from collections.abc import Callable, Iterator
 from concurrent.futures import CancelledError
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from functools import partial
-from typing import Any
+from pathlib import Path
+from typing import Any, NamedTuple
 
-from distributed import Client, KilledWorker, LocalCluster, Worker, WorkerPlugin, as_completed
+import dask.config
+from distributed import Client, KilledWorker, LocalCluster, Security, Worker, WorkerPlugin
 
 from jaxreplay.machine import keep_compiled
 from jaxreplay.study.run import RunEach
@@ -22,69 +26,161 @@ TIMEOUT = 10  # s in which a scheduler must answer
 _MALLOC = {"M_TRIM_THRESHOLD": (-1, 2**25), "M_MMAP_THRESHOLD": (-3, 2**25), "M_ARENA_MAX": (-8, 2)}
 
 
+PATIENCE = 60.0  # s without any worker, by default
+_POLL = 0.05  # s between looks whether a shard is finished
+_LOOK = 3.0  # s between looks whether there are workers, while no shard is
+_AGAIN = 10.0  # s between two lines on missing workers
+_KEPT = "finished shards are kept; run the same command again to continue"
+# Without these, a process offers pages on its state to whoever asks.
+_NO_PAGES = {"distributed.scheduler.http.routes": [], "distributed.worker.http.routes": []}
+
+
 @contextmanager
-def local_workers(n: int) -> Iterator[RunEach]:
+def local_workers(n: int, patience: float = PATIENCE) -> Iterator[RunEach]:
     """Open n worker processes on this machine, each with one thread, on Linux pinned to a core.
 
-    A process on its own core steps the filter faster than a thread that shares a process.
+    A process on its own core steps the filter faster than a thread that shares a process. They talk
+    over TLS with certificates of this session: a plain port would let every user of the machine
+    run code in them.
+
+    Args:
+        n: number of workers.
+        patience: s without any worker after which the study is given up.
+
+    Raises:
+        OSError: they cannot be started.
     """
-    with (
-        LocalCluster(
-            n_workers=n,
-            threads_per_worker=1,
-            memory_limit=0,
-            dashboard_address="127.0.0.1:0",
-            silence_logs=logging.CRITICAL,
-        ) as cluster,
-        Client(cluster) as client,
-    ):
-        client.register_plugin(WorkerSetup())
-        client.register_plugin(_PinnedWorker())
-        yield partial(_run_each, client)
+    with ExitStack() as stack:
+        stack.enter_context(dask.config.set(_NO_PAGES))
+        try:
+            cluster = LocalCluster(
+                n_workers=n,
+                threads_per_worker=1,
+                memory_limit=0,
+                security=Security.temporary(),
+                dashboard_address="127.0.0.1:0",
+                scheduler_kwargs={"dashboard": False},
+                silence_logs=logging.CRITICAL,
+            )
+            client = Client(stack.enter_context(cluster))
+            stack.callback(client.close, 2)
+            client.register_plugin(WorkerSetup())
+            client.register_plugin(_PinnedWorker())
+        except Exception as error:  # Dask passes on any kind
+            raise OSError(f"{n} workers cannot be started: {_cause(error)}") from None
+        yield partial(_run_each, client, patience)
+
+
+class Certificates(NamedTuple):
+    """Files for a scheduler that is reached over TLS.
+
+    Attributes:
+        ca: certificate of the authority that signed the scheduler's.
+        cert: certificate of this client.
+        key: its private key.
+    """
+
+    ca: Path
+    cert: Path
+    key: Path
 
 
 @contextmanager
-def workers_of(scheduler: str) -> Iterator[RunEach]:
+def workers_of(
+    scheduler: str, certificates: Certificates | None = None, patience: float = PATIENCE
+) -> Iterator[RunEach]:
     """Connect to the workers of a running Dask scheduler, such as `"tcp://10.0.0.1:8786"`.
+
+    Args:
+        scheduler: its address.
+        certificates: for an address that begins with `tls://`; None: those of Dask's own
+            configuration.
+        patience: s without any worker after which the study is given up.
 
     Raises:
         OSError: no scheduler answers there, it has no workers, or a worker cannot be set up.
     """
-    try:
-        client = Client(scheduler, timeout=TIMEOUT)
-    except (OSError, ValueError) as error:
-        raise OSError(f"no Dask scheduler at {scheduler}: {error}") from None
-    with client:
-        if not client.scheduler_info()["workers"]:
+    security = None
+    if certificates is not None:
+        ca, cert, key = map(str, certificates)
+        security = Security(
+            tls_ca_file=ca, tls_client_cert=cert, tls_client_key=key, require_encryption=True
+        )
+    with ExitStack() as stack:
+        try:
+            client = Client(scheduler, timeout=TIMEOUT, security=security)
+            stack.callback(client.close, 2)
+        except Exception as error:  # of addresses, certificates, connections
+            raise OSError(f"no Dask scheduler at {scheduler}: {_cause(error)}") from None
+        if not _workers_left(client):
             raise OSError(f"the Dask scheduler at {scheduler} has no workers; start one")
         try:
             client.register_plugin(WorkerSetup())
         except Exception as error:  # Dask passes on any kind
             raise OSError(
-                f"a worker of {scheduler} cannot be set up: {error}; is jaxreplay installed there?"
+                f"a worker of {scheduler} cannot be set up: {_cause(error)}; is jaxreplay "
+                "installed there?"
             ) from None
-        yield partial(_run_each, client)
+        yield partial(_run_each, client, patience)
 
 
 def _run_each(
-    client: Client, function: Callable, shared: Any, calls: dict[int, tuple]
+    client: Client, patience: float, function: Callable, shared: Any, calls: dict[int, tuple]
 ) -> Iterator[tuple[int, Any]]:
     """Call a function once for each of `calls` on the workers; yield keys and results as they come.
 
     What the calls share is sent once, as a task that is done again if its worker is lost.
+
+    Raises:
+        OSError: workers or the scheduler were lost.
     """
     sent = client.submit(_same, shared, pure=False)
     futures = {
         client.submit(function, sent, *given, pure=False): key for key, given in calls.items()
     }
+    waiting, looked, none_since, told = set(futures), time.monotonic(), None, 0.0
     try:
-        for future in as_completed(futures):
-            yield futures[future], future.result()
+        while waiting:
+            done = {future for future in waiting if future.done()}
+            for future in done:
+                yield futures[future], future.result()
+            waiting -= done
+            now = time.monotonic()
+            if done or now - looked < _LOOK:
+                time.sleep(_POLL)
+                continue
+            looked = now
+            if client.status in ("closing", "closed"):
+                raise OSError(f"the scheduler was lost; {_KEPT}")
+            if _workers_left(client):
+                none_since, told = None, 0.0
+                continue
+            none_since = none_since or now
+            if now - none_since > patience:
+                raise OSError(f"no worker was left for {patience:g} s; {_KEPT}")
+            if now - told > _AGAIN:
+                told = now
+                left = max(patience - (now - none_since), 0)
+                warnings.warn(f"no worker is left; waiting {left:.0f} s for one", stacklevel=2)
     except (CancelledError, KilledWorker) as error:
-        raise OSError(
-            f"workers were lost: {error}; finished shards are kept; run the same command again "
-            "to continue"
-        ) from None
+        raise OSError(f"workers or the scheduler were lost: {_cause(error)}; {_KEPT}") from None
+
+
+def _workers_left(client: Client) -> int:
+    """Return how many workers there are; 0 where the scheduler does not answer."""
+    try:
+        scheduler: Any = client.scheduler
+        answer: Any = client.sync(scheduler.identity, callback_timeout=TIMEOUT)
+        return len(answer["workers"])
+    except (OSError, TimeoutError, AttributeError):  # the last: the client has closed
+        return 0
+
+
+def _cause(error: BaseException) -> str:
+    """Return what went wrong, in one line."""
+    while error.__cause__ is not None and not str(error).strip():
+        error = error.__cause__
+    return " ".join(f"{error}".split())[:300] or type(error).__name__
 
 
 def _same(shared: Any) -> Any:
