@@ -13,13 +13,15 @@ class Line(gymnasium.Env):
     Args:
         goal: beyond it a run succeeds; it goes on, as on the plane.
         edge: beyond it a run is terminated.
+        fails_at: step in which it raises an error.
         says: whether the info tells of success.
         render_mode: `"rgb_array"` or None.
     """
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": 10}  # noqa: RUF012 - as in Gymnasium
 
-    def __init__(self, goal=1.0, edge=np.inf, says=True, render_mode=None):
+    def __init__(self, goal=1.0, edge=np.inf, says=True, fails_at=0, render_mode=None):
+        self.fails_at = fails_at
         self.goal, self.edge, self.says, self.render_mode = goal, edge, says, render_mode
         self.observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (2,), np.float64)
         self.action_space = gymnasium.spaces.Box(-1, 1, (1,), np.float64)
@@ -35,6 +37,7 @@ class Line(gymnasium.Env):
 
     def step(self, action):
         self.x, self.t = self.x + action[0], self.t + 1
+        _ = 1 / (self.t - self.fails_at)
         info = {"is_success": self.x > self.goal} if self.says else {}
         return self.seen(), float(action[0]), bool(self.x > self.edge), False, info
 

@@ -156,9 +156,10 @@ def _cost(config: "StudyConfig", folder: Path, runs: int, options: argparse.Name
     if options.scheduler:
         return f"about {cost.seconds:.2f} s a run on one core of this machine"
     n = min(options.workers or cores(), cores())
-    minutes = runs * cost.seconds / n / 60
+    time = runs * cost.seconds / n
+    told = f"{time / 60:.1f} min" if time > 60 else f"{max(time, 1):.0f} s"
     return (
-        f"about {minutes:.1f} min on {_count(n, 'core')} ({cost.seconds:.2f} s a run on one), "
+        f"about {told} on {_count(n, 'core')} ({cost.seconds:.2f} s a run on one), "
         f"{cost.memory / 2**30:.1f} GiB{' a worker' if options.workers else ''}"
     )
 

@@ -4,7 +4,7 @@ import matplotlib
 import numpy as np
 import xarray as xr
 
-from jaxreplay.figures.outcomes import label, tick_text
+from jaxreplay.figures.outcomes import label, places, tick_text
 from jaxreplay.figures.picture import Picture
 from jaxreplay.figures.table import wilson
 from jaxreplay.study.dataset import axes_of, is_number
@@ -39,7 +39,10 @@ def comparison(dataset: xr.Dataset) -> Picture:
     """
     x, lines = sorted(axes_of(dataset), key=lambda axis: not is_number(dataset, axis))
     dataset = dataset.sortby(x)
-    at = dataset[x].values.astype(float)
+    values = dataset[x].values.astype(float)
+    spacing = np.diff(values)
+    even = len(values) < 3 or spacing.max() < 3 * spacing.min()
+    at = values if even else places(dataset, x)
     step = np.diff(at).min() if len(at) > 1 else 1.0
     figure = Picture(figsize=(6, 3.6))
     axes = figure.subplots()
@@ -55,7 +58,7 @@ def comparison(dataset: xr.Dataset) -> Picture:
             color=colour, marker=marker, linestyle=dashes, markersize=5, capsize=2,
             label=tick_text(lines, value),
         )  # fmt: skip
-    axes.set_xticks(at, [f"{value:.3g}" for value in at])
+    axes.set_xticks(at, [tick_text(x, value) for value in values])
     axes.set_xlabel(label(dataset, x))
     axes.set_ylabel(f"S, % of {dataset.outcome[0, 0].size} runs\nwhiskers: 95 % interval")
     axes.set_ylim(-3, 103)

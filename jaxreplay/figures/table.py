@@ -51,6 +51,7 @@ def table(dataset: xr.Dataset) -> str:
         + "S, %: with Wilson's 95 % interval. ±: standard error of the mean.",
         "− first: difference of S to the first value of the last axis, with its 95 % interval; "
         f"runs are paired by {' and '.join(samples_of(dataset))}.",
+        *_lost(dataset),
         _audited(dataset),
     ]
     return "\n".join(lines)
@@ -93,6 +94,20 @@ def _lifted(runs: xr.Dataset) -> str:
     """Return in how many runs the cube was lifted; – where that is not known."""
     lifted = runs.lifted.values[runs.outcome.values != ""]
     return f"{np.sum(lifted == 1)}" if np.isfinite(lifted).any() else "–"
+
+
+def _lost(dataset: xr.Dataset) -> list[str]:
+    """Return a line on runs that were lost, if there are any and it is known."""
+    if "distance" not in dataset:
+        return []
+    limit, distance = float(dataset.distance.attrs["lost"]), dataset.distance.values
+    lost, known = int(np.sum(distance > limit)), int(np.isfinite(distance).sum())
+    if lost == 0:
+        return []
+    return [
+        f"Lost: {lost} of {known} runs were more than {limit:g} σ off the sample followed for half "
+        "of their steps: check the sensors' units, signs and order, and the rate."
+    ]
 
 
 def _audited(dataset: xr.Dataset) -> str:

@@ -58,10 +58,12 @@ class View:
                 self.world = _panel(self.figure.add_subplot(grid[:2, 0]), run.scene)
                 self.clock = self.world.axes.set_title("")
             times = self.period * n_steps
+            drove = run.values.get("controller", "filter") == "filter"
+            aside = "" if drove else " of a filter, which did not drive"
             self.bin = max(1, min(_BIN, longest // 20))
             self.now = self._map(
                 grid[0, 1], (longest // self.bin, n_records), longest * self.period,
-                "belief p(I, τ) now, fourth root; bars: the records' ends",
+                f"belief p(I, τ) now{aside}, fourth root; bars: the records' ends",
                 f"moment τ, {self.unit}",
             )  # fmt: skip
             self.ends = [
@@ -69,10 +71,12 @@ class View:
                 for k, length in enumerate(np.asarray(run.records.lengths))
             ]
             self.past = self._map(
-                past, (n_steps, n_records), times, "p(I) so far: the record followed", ""
+                past, (n_steps, n_records), times, f"p(I) so far{aside}: the record followed", ""
             )
             self.stripes = run.beliefs.sum(axis=2).T
             each = "each from its lowest to its highest value in the run"
+            if run.scene is None:  # beside the title stands the clock
+                each = "each scaled to its range in the run"
             curves = _shares(run.observations), run.records.sensor_names
             axes = self._curves(sensors, *curves, f"sensors, {each}", times)
             if self.world is None:
@@ -113,7 +117,7 @@ class View:
         axes = self.figure.add_subplot(where)
         axes.set_xlim(0, end)
         axes.set_ylim(min(0, values.min()) - 0.1, 1.1)
-        more = f" (the first {_CURVES} of {len(names)})" if len(names) > _CURVES else ""
+        more = f" ({_CURVES} of {len(names)})" if len(names) > _CURVES else ""
         axes.set_title(title + more)
         axes.set_xlabel(f"time, {self.unit}", labelpad=3)
         for k, (curve, name) in enumerate(zip(values.T[:_CURVES], names[:_CURVES], strict=True)):

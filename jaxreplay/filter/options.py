@@ -43,9 +43,9 @@ def options_of(jump: Any, start: Any = "first", last_steps: Any = LAST_STEPS) ->
     if start not in STARTS:
         raise ValueError(f"start must be one of {', '.join(STARTS)}; got {start!r}")
     whole = isinstance(last_steps, int | np.integer) and not isinstance(last_steps, bool)
-    if last_steps is not None and not (whole and last_steps >= 1):
+    if last_steps is not None and not (whole and last_steps >= 0):
         raise ValueError(
-            f"last_steps must be a whole number from 1, or None where the environment alone ends a "
+            f"last_steps must be a whole number, or None (or 0) where the environment alone ends a "
             f"replay; got {last_steps!r}"
         )
-    return Options(jump, start, None if last_steps is None else int(last_steps))
+    return Options(jump, start, int(last_steps) if last_steps else None)

@@ -88,7 +88,10 @@ def check_environment(records: Records, env: VectorEnv) -> None:
         ("actions", env.single_action_space, records.n_commands),
     ):
         if not isinstance(space, gymnasium.spaces.Box) or space.shape != (wanted,):
+            flat = ""
+            if isinstance(space, gymnasium.spaces.Dict | gymnasium.spaces.Tuple):
+                flat = " (Gymnasium's wrapper FlattenObservation makes one)"
             raise ValueError(
                 f"the environment's {what} are {space}; the records have {wanted} numbers a row, "
-                f"so a Box of shape ({wanted},) is needed"
+                f"so a Box of shape ({wanted},) is needed{flat}"
             )

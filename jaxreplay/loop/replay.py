@@ -283,10 +283,10 @@ def _warn_of_lost(replays: Replays) -> None:
     """Warn of replays that were lost."""
     lost = np.flatnonzero(replays.distance_median > LOST)
     if len(lost):
-        more = ", …" if len(lost) > 5 else ""
+        which = ", ".join(map(str, lost[:5])) + (", …" if len(lost) > 5 else "")
         warnings.warn(
-            f"{len(lost)} of {len(replays.steps)} replays were lost: the observations of "
-            f"{', '.join(map(str, lost[:5]))}{more} were more than {LOST:g} σ off the sample "
+            f"{len(lost)} of {len(replays.steps)} replays were lost ({which}, counted from 0): "
+            f"their observations were more than {LOST:g} σ off the sample "
             "followed in half of the steps; check the sensors' units, signs, order and rate, and "
             "where the replay starts",
             LostWarning,

@@ -134,9 +134,9 @@ def _files_in(folder: Path) -> list[Path]:
         files = [file for file in folder.iterdir() if file.suffix in FORMATS and file.is_file()]
     found = sorted({file.suffix for file in files})
     if len(found) != 1:
-        which = "none" if not found else f"some of {', '.join(found)}"
+        which = "without such a file" if not found else f"with some of {', '.join(found)}"
         raise ConfigError(
-            f"{folder} is a folder with {which}; give one with files of one format of "
+            f"{folder} is a folder {which}; give one with files of one format of "
             f"{', '.join(FORMATS)}, or the files"
         )
     return sorted(files, key=_natural)

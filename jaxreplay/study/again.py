@@ -25,7 +25,7 @@ from jaxreplay.study.demonstrations import demonstrations
 from jaxreplay.study.open import config_of, open_study
 from jaxreplay.study.runs import Demonstrations, records_of, runs_of, settings_of, worlds_of
 from jaxreplay.study.shard import how_of
-from jaxreplay.study.store import check_format
+from jaxreplay.study.store import check_format, content_of, read_manifest
 from jaxreplay.study.worlds.world import World
 
 # Factors of a run that are shown; the others are if they have not their default.
@@ -60,7 +60,13 @@ def find_and_run_again(
             raise ConfigError(str(error)) from None
         config = config_of(dataset)
     k = find_run(config, run, dataset)
-    return k, run_again(config, demonstrations(config, folder), k)
+    records = demonstrations(config, folder)
+    if isinstance(study, Path) and content_of(records) != read_manifest(study)["demonstrations"]:
+        raise ConfigError(
+            f"the demonstrations of {study} are not those with which it was run: put the file back "
+            "as it was"
+        )
+    return k, run_again(config, records, k)
 
 
 def run_again(config: StudyConfig, demonstrations: Demonstrations, k: int) -> Trace:
@@ -84,7 +90,7 @@ def run_again(config: StudyConfig, demonstrations: Demonstrations, k: int) -> Tr
     values = {
         factors[name].symbol: value
         for name, (value,) in one.values.items()
-        if name in ALWAYS or value not in (None, factors[name].default)
+        if name in (*ALWAYS, *config.axes) or value not in (None, factors[name].default)
     }
     place = f"position {one.position[0]}, " if config.positions else ""
     return trace._replace(values=values, place=f"{place}repeat {one.repeat[0]}")

@@ -1,5 +1,6 @@
 """The description of a study, read from a TOML file and strictly checked."""
 
+import warnings
 from collections.abc import Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, field, fields
@@ -158,8 +159,16 @@ def load_config(
     if "demonstrations" in given:
         given["demonstrations"] = relative(given["demonstrations"], path.parent)
     tuned = tuned_values(Path(params), _ranges(path, given, changes)) if params is not None else {}
+    if replaced := [f"axis.{name}" for name in tuned if name in given.get("axis", {})]:
+        warnings.warn(f"{params} takes the place of {', '.join(replaced)}", stacklevel=2)
     for name, value in tuned.items():
         put(value, given, [name])
+    for change in changes if tuned else ():
+        if change.partition("=")[0].strip() in ("sigma", "sigma_proximeters"):
+            raise ConfigError(
+                f"--set {change} has no effect beside {params}, which gives each sensor its own σ: "
+                "set those, such as sigma_NAME"
+            )
     return _changed(path, given, changes)
 
 
@@ -201,10 +210,16 @@ def _fields_of(given: dict) -> dict[str, Any]:
     axis = given.pop("axis", {})
     if not isinstance(axis, dict):
         raise ValueError(f"axis must be a table, [axis]; got {axis!r}")
-    factors = {*PLANE_FACTORS}
+    factors = [*PLANE_FACTORS]
     if "environment" in given:
-        factors |= {name for name in given if name.startswith("sigma_")}
-    parse.known(given, (*PLANE_FACTORS, *factors, "zip", "positions", *_FIELDS, "axis"), "")
+        factors += [name for name in given if name.startswith("sigma_")]
+    keys = (*dict.fromkeys(factors), "zip", "positions", *_FIELDS, "axis")
+    parse.known(given, keys, "")
+    for table in ("environment", "demonstrations"):  # what follows [table] in TOML is in it
+        inside = given.get(table)
+        for name in inside if isinstance(inside, dict) else ():
+            if name in keys:
+                raise ValueError(f"{table}.{name}: {name} is of the study: put it above [{table}]")
     check_there(given.get("demonstrations"), "demonstrations")
     plane = given.get("plane", {})
     for name in SETTINGS if isinstance(plane, dict) else ():
@@ -262,5 +277,5 @@ def _check_environment_study(given: dict[str, Any]) -> None:
     if given["positions"] not in ([], parse.plain(TESTED)):
         raise ValueError("positions are the cube's; a study in an environment has none")
     for name in (*given["axes"], *given["fixed"]):
-        if name in PLANE_FACTORS and name not in FACTORS:
+        if name in PLANE_FACTORS and name not in FACTORS and not name.startswith("sigma_"):
             raise ValueError(f"{name} is of the simulated robot; this study has an environment")

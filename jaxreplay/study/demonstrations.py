@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from jaxreplay.errors import ConfigError
+from jaxreplay.loop.checks import check_end
 from jaxreplay.plane.options import SETTINGS
 from jaxreplay.plane.params import COMMAND_NAMES, SENSOR_NAMES, PlaneParams
 from jaxreplay.plane.positions import DEMONSTRATED
@@ -69,6 +70,8 @@ def _demonstrated(config: StudyConfig, folder: Path, robot: PlaneParams | None) 
         for value in values:
             if value is not None:
                 choose_records(value, records.n_records, config.seed, 0)
+        for value in config.axes.get("last_steps", (config.fixed.get("last_steps"),)):
+            check_end(records, value or None)
         check_sigma(config, records.sensor_names)
     except ValueError as error:
         raise ConfigError(f"{error} (of {file})") from None

@@ -101,7 +101,7 @@ def replays_of(
     """
     params, seeds, options = settings_of(config, demonstrations, runs)
     worlds = worlds_of(config, runs)
-    with closing(worlds), warnings.catch_warnings():
+    with closing(worlds), config.world.failures(), warnings.catch_warnings():
         # A study's outcomes say which runs failed.
         warnings.simplefilter("ignore", LostWarning)
         return replay(
@@ -119,5 +119,4 @@ def replays_of(
 
 def how_of(runs: Runs) -> Options:
     """Return reading of a jump, start and end of the runs of one shard, which agree in them."""
-    values = {name: runs.values[name][0] for name in Options._fields}
-    return options_of(**values | {"last_steps": values["last_steps"] or None})
+    return options_of(**{name: runs.values[name][0] for name in Options._fields})

@@ -55,10 +55,6 @@ def manifest_of(
         demonstrations: the records.
         shard_size: runs per shard; stored as `shard`.
     """
-    content = hashlib.sha256()
-    for records in demonstrations.values():
-        for array in (records.nodes, records.commands, records.lengths, records.offset):
-            content.update(np.ascontiguousarray(array).tobytes())
     file = parse.plain(config.demonstrations)
     settings: dict[str, Any] = asdict(config) | {"demonstrations": "" if file is None else file}
     # What a study does not use is left out, so that a new kind of factor or world changes no
@@ -70,7 +66,7 @@ def manifest_of(
         del settings[name]
     identity: dict[str, Any] = {
         "config": settings,
-        "demonstrations": content.hexdigest(),
+        "demonstrations": content_of(demonstrations),
         "dtype": str(next(iter(demonstrations.values())).nodes.dtype),
         "shard": shard_size,
         "format": RESULTS_FORMAT,
@@ -83,6 +79,15 @@ def manifest_of(
         "hash": hash_of(identity),
         _VERSIONS: {name: version(name) for name in _LIBRARIES},
     }
+
+
+def content_of(demonstrations: Demonstrations) -> str:
+    """Return a hash of all values of a study's records."""
+    content = hashlib.sha256()
+    for records in demonstrations.values():
+        for array in (records.nodes, records.commands, records.lengths, records.offset):
+            content.update(np.ascontiguousarray(array).tobytes())
+    return content.hexdigest()
 
 
 def check_format(folder: Path) -> None:

@@ -62,7 +62,7 @@ def local_workers(n: int, patience: float = PATIENCE) -> Iterator[RunEach]:
                 scheduler_kwargs={"dashboard": False},
                 silence_logs=logging.CRITICAL,
             )
-            client = Client(stack.enter_context(cluster))
+            client = Client(stack.enter_context(cluster), set_as_default=False)
             stack.callback(client.close, 2)
             client.register_plugin(WorkerSetup())
             client.register_plugin(_PinnedWorker())
@@ -108,7 +108,7 @@ def workers_of(
         )
     with ExitStack() as stack:
         try:
-            client = Client(scheduler, timeout=TIMEOUT, security=security)
+            client = Client(scheduler, timeout=TIMEOUT, security=security, set_as_default=False)
             stack.callback(client.close, 2)
         except Exception as error:  # of addresses, certificates, connections
             raise OSError(f"no Dask scheduler at {scheduler}: {_cause(error)}") from None

@@ -126,7 +126,7 @@ def test_a_mistake_in_set_is_reported_too(tmp_path, capsys, change, message):
     ],
 )
 def test_a_mistake_in_tuned_parameters_is_reported(tmp_path, capsys, text, message):
-    config, out = write(tmp_path, SMALL), tmp_path / "out"
+    config, out = write(tmp_path, "theta_i = 0.1"), tmp_path / "out"
     tuned = write(tmp_path, text, "tuned.toml")
     assert cli.main(["run", str(config), "--params", str(tuned), "--out", str(out)]) == 2
     printed = capsys.readouterr().err

@@ -99,5 +99,8 @@ def test_an_axis_of_sigma_without_effect_is_refused(tmp_path, light):
     load_config(file)
     tuned = write(tmp_path, TUNED, "tuned.toml")
     name = "sigma_proximeters" if light else "sigma"  # which is the light's, if there is one
-    with pytest.raises(ConfigError, match=rf"axis\.{name} has no effect: each of its sensors"):
+    with (
+        pytest.warns(UserWarning, match=r"takes the place of axis\.theta_i"),
+        pytest.raises(ConfigError, match=rf"axis\.{name} has no effect: each of its sensors"),
+    ):
         load_config(file, params=tuned)

@@ -1,5 +1,6 @@
 """Studies in environments that are not the plane."""
 
+import warnings
 from io import BytesIO
 
 import gymnasium
@@ -189,11 +190,15 @@ def test_a_sigma_is_a_share_of_its_sensors_range_in_the_records(line):
     tuned = write(
         line.parent, "theta_i = 0.03\ntheta_tau = 0.2\n[sigma]\nx = 0.5\nseven = 2.0\n", "t.toml"
     )
-    config = load_config(line, params=tuned)
+    with pytest.warns(UserWarning, match=r"t\.toml takes the place of axis\.theta_i"):
+        config = load_config(line, params=tuned)
     assert "theta_i" not in config.axes
     params, *_ = settings_of(config, records, runs_of(config))
     np.testing.assert_allclose(params.sigma, [[0.5, 2.0]] * 2, rtol=1e-6)
     assert not jr.StudyConfig({"theta_i": [0.1]}).fixed.keys() & {"sigma_x"}
+    plain = write(line.parent, LINE.replace("[axis]\ntheta_i = [0.1]\n", ""), "plain.toml")
+    with pytest.raises(ConfigError, match=r"--set sigma=0\.3 has no effect beside"):
+        load_config(plain, ["sigma=0.3"], tuned)
     with pytest.raises(ConfigError, match=r"its sensors are camera.*; the study's are x, seven"):
         load_config(line, params=write(line.parent, TUNED, "plane.toml"))
 
@@ -205,10 +210,10 @@ def test_a_sigma_is_a_share_of_its_sensors_range_in_the_records(line):
         ("environment=no_such:X-v0", "environment no_such:X-v0 cannot be made: ModuleNotFound"),
         ("environment=Pendulum-v1", "observations are Box.*the records have 2 numbers a row"),
         ("environment=CartPole-v1", "observations are Box.*the records have 2 numbers a row"),
-        ("environment=line_world:Endless-v0", 'no time limit: give one, environment = {id = "'),
+        ("environment=line_world:Endless-v0", "no time limit: give it one among its arguments"),
         ("environment.id=3", "environment must be an id of Gymnasium"),
         ("environment.colour=3", "environment must be an id of Gymnasium"),
-        ("sigma_y=0.1", "sigma_y: the sensors in .*line.npz are x, seven"),
+        ("sigma_y=0.1", "sigma_y: by the sensors in .*line.npz there are sigma_x, sigma_seven"),
         ("motor_unit=0.01", "motor_unit is of the simulated robot; this study has an environment"),
         ("axis.light=[true]", "light is of the simulated robot"),
         ("theta_j=0.1", "unknown key theta_j; did you mean theta_i"),
@@ -294,3 +299,66 @@ def test_records_that_end_in_motion_are_told(line):
     with pytest.warns(UserWarning, match=r"still in motion at the end.*\(0: the environment alone"):
         demonstrations(load_config(line), line.parent)
     demonstrations(load_config(line, ["last_steps=0"]), line.parent)
+
+
+def test_what_does_not_fit_the_environments_spaces_is_told(line):
+    """As another order of sensors, or another unit of commands, does."""
+    steps = np.full((12, 1), 0.1)
+    seen = np.hstack([np.linspace(0, 1, 12)[:, None], np.full((12, 1), -0.5)])
+    jr.Records.from_sequences([seen] * 2, [50 * steps, -steps], ["v", "x"], ["push"]).save(
+        line.parent / "line.npz"
+    )
+    car = load_config(line, ["environment=MountainCarContinuous-v0", "last_steps=0"])
+    with pytest.warns(UserWarning, match="of the environment.s") as told:
+        demonstrations(car, line.parent)
+    messages = sorted(str(w.message).partition("line.npz: ")[2] for w in told)
+    for message, start in zip(
+        messages,
+        (
+            "command push goes from -0.1 to 5, but number 0 of the environment's actions",
+            "sensor v goes from 0 to 1, but number 0 of the environment's observ",
+            "sensor x goes from -0.5 to -0.5, but number 1 of",
+        ),
+        strict=True,
+    ):
+        assert message.startswith(start)
+
+
+def test_lost_runs_are_told_below_the_table(line):
+    study = jr.run_study(load_config(line), line.parent / "out", lambda *so_far: None)
+    assert "Lost" not in table(study)
+    study.distance.values.flat[0] = 3.5
+    assert "Lost: 1 of 2 runs were more than 3 σ off the sample followed" in table(study)
+
+
+def test_an_error_of_the_environment_is_one_line(line, capsys):
+    fails = line.read_text().replace(
+        '"line_world:Line-v0"', '{id = "line_world:Line-v0", fails_at = 3}'
+    )
+    path = write(line.parent, fails, "fails.toml")
+    assert cli.main(["run", str(path), "--out", str(line.parent / "out")]) == 2
+    *_, last = capsys.readouterr().err.splitlines()
+    assert "environment line_world:Line-v0 failed: ZeroDivisionError: " in last
+    assert "line_world.py, line " in last
+
+
+def test_watching_needs_the_demonstrations_of_the_study(line, capsys):
+    assert cli.main(["run", str(line), "--out", str(line.parent / "out")]) == 0
+    steps = np.full((32, 1), 0.05)
+    x = np.cumsum(steps, axis=0)
+    jr.Records.from_sequences(
+        [np.hstack([x, 0 * x])] * 2, [steps] * 2, ["x", "seven"], ["dx"]
+    ).save(line.parent / "line.npz")
+    capsys.readouterr()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        assert cli.main(["watch", str(line.parent / "out")]) == 2
+    assert "are not those with which it was run: put the file back" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("key", ["success_return", "repeats", "theta_i"])
+def test_a_key_of_the_study_below_a_table_is_told(line, key):
+    text = line.read_text().replace('environment = "line_world:Line-v0"\n', "")
+    text += f'[environment]\nid = "line_world:Line-v0"\n{key} = 3\n'
+    with pytest.raises(ConfigError, match=rf"{key} is of the study: put it above \[environment\]"):
+        load_config(write(line.parent, text))

@@ -1,4 +1,5 @@
 import numpy as np
+import pytest
 from study_helpers import SMALL, TUNED, VARIED, by_robot, some_records, write
 
 from jaxreplay.plane.options import SETTINGS, seed_of
@@ -85,7 +86,8 @@ def test_runs_of_a_shard_share_the_jump_and_the_records(tmp_path):
 
 def test_tuned_parameters_are_those_of_the_study(tmp_path):
     file = write(tmp_path, SMALL + "sigma_proximeter_2 = [0.1, 0.2]\n")
-    config = load_config(file, params=write(tmp_path, TUNED, "tuned.toml"))
+    with pytest.warns(UserWarning, match=r"takes the place of axis\.theta_i, axis\.sigma_p"):
+        config = load_config(file, params=write(tmp_path, TUNED, "tuned.toml"))
     assert list(config.axes) == ["jump"]
     params, *_ = settings_in(config, runs_of(config))
     np.testing.assert_allclose(params.theta_i, 0.03, rtol=1e-6)

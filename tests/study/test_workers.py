@@ -60,8 +60,8 @@ def test_workers_come_to_the_same_bytes_though_one_is_killed(config, tmp_path, m
 
 
 def test_a_worker_keeps_no_profile():
-    with local_workers(1):
-        client = Client.current()
+    with local_workers(1) as run_each:
+        client = run_each.args[0]
         client.submit(time.sleep, 1).result()
         samples = client.run(profile_of)
     assert list(samples.values()) == [0]

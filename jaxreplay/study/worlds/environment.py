@@ -1,22 +1,25 @@
 """Any Gymnasium environment as the world of a study; its demonstrations are a user's own."""
 
+import traceback
 import warnings
-from collections.abc import Mapping, Sequence
-from contextlib import closing
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, field
 from io import BytesIO
-from typing import Any
+from typing import Any, cast
 
 import gymnasium
 import numpy as np
+from gymnasium.spaces import Box
 from gymnasium.vector import AutoresetMode, SyncVectorEnv, VectorEnv
 from PIL import Image
 
 from jaxreplay.errors import ConfigError
 from jaxreplay.loop.checks import check_environment
-from jaxreplay.loop.replay import Replays
+from jaxreplay.loop.replay import LOST, Replays
 from jaxreplay.recordings.scores import sensor_span
 from jaxreplay.records import Records
+from jaxreplay.records.columns import command_range
 from jaxreplay.study.dataset import Pictures
 from jaxreplay.study.factors import FACTORS, Factor, sigma_of
 
@@ -38,6 +41,7 @@ VARIABLES: dict[str, dict[str, str]] = {
         "units": "σ",
         "long_name": "median distance to the sample followed",
         "column": "distance",
+        "lost": f"{LOST:g}",
     },
 }
 _SUCCESS = ("is_success", "success")  # the usual names in an environment's info
@@ -93,15 +97,19 @@ class Environment:
         """
         for name in self.sigmas:
             if name not in records.sensor_names:
-                raise ConfigError(
-                    f"sigma_{name}: the sensors in {where} are {', '.join(records.sensor_names)}"
-                )
+                known = ", ".join(f"sigma_{sensor}" for sensor in records.sensor_names)
+                raise ConfigError(f"sigma_{name}: by the sensors in {where} there are {known}")
         with closing(self.make(1)) as worlds:
             try:
                 check_environment(records, worlds)
             except ValueError as error:
                 raise ConfigError(f"environment {self.id} and {where}: {error}") from None
             _limit(worlds, self.id)
+            seen = np.asarray(records.span, float) + np.asarray(records.offset)
+            sent = command_range(records.commands, records.lengths)
+            observations, actions = worlds.single_observation_space, worlds.single_action_space
+            _warn_beyond("sensor", records.sensor_names, seen, cast(Box, observations), where)
+            _warn_beyond("command", records.command_names, sent, cast(Box, actions), where)
 
     def ranges(self, records: Records | None) -> dict[str, float]:
         """Return the range of each sensor in the records; 1 if it never changes."""
@@ -120,10 +128,12 @@ class Environment:
         try:
             return self._made(slots, **pictures)
         except Exception as error:  # a user's environment may raise anything
-            cause = " ".join(f"{error}".split())
-            raise ConfigError(
-                f"environment {self.id} cannot be made: {type(error).__name__}: {cause}"
-            ) from None
+            cause = f"{type(error).__name__}: {' '.join(f'{error}'.split())}"
+            if isinstance(error, gymnasium.error.NameNotFound) and ":" not in self.id:
+                cause += f' One of your own is "module:{self.id}".'
+            if isinstance(error, ModuleNotFoundError):
+                cause += " Modules are found where they are installed, and in the current folder."
+            raise ConfigError(f"environment {self.id} cannot be made: {cause}") from None
 
     def _made(self, slots: int, **arguments: Any) -> VectorEnv:
         return gymnasium.make_vec(
@@ -147,6 +157,24 @@ class Environment:
             cause = " ".join(f"{error}".split())
             warnings.warn(f"environment {self.id} gives no pictures: {cause}", stacklevel=2)
             return False
+
+    @contextmanager
+    def failures(self) -> Iterator[None]:
+        """Tell in one line of an error that the environment raises, and where.
+
+        Raises:
+            ConfigError: it raised one.
+        """
+        try:
+            yield
+        except (ConfigError, OSError):
+            raise
+        except Exception as error:  # a user's environment may raise anything
+            *_, last = traceback.extract_tb(error.__traceback__)
+            raise ConfigError(
+                f"environment {self.id} failed: {type(error).__name__}: "
+                f"{' '.join(f'{error}'.split())} ({last.filename}, line {last.lineno})"
+            ) from error
 
     def options(self, values: dict[str, np.ndarray], position: np.ndarray) -> dict[str, np.ndarray]:
         """Return no options: a run depends on its seed alone."""
@@ -213,8 +241,8 @@ def _limit(worlds: VectorEnv, id: str) -> int:
     spec = worlds.envs[0].spec if isinstance(worlds, SyncVectorEnv) else worlds.spec
     if spec is None or spec.max_episode_steps is None:
         raise ConfigError(
-            f'environment {id} has no time limit: give one, environment = {{id = "{id}", '
-            "max_episode_steps = 1000}"
+            f"environment {id} has no time limit: give it one among its arguments, such as "
+            f'environment = {{id = "{id}", max_episode_steps = 1000}}'
         )
     return spec.max_episode_steps
 
@@ -223,3 +251,26 @@ def _picture(worlds: VectorEnv) -> Image.Image | None:
     """Return a picture of the first environment, if it gives one."""
     frames = worlds.render() if worlds.render_mode else None
     return Image.fromarray(frames[0]) if frames and isinstance(frames[0], np.ndarray) else None
+
+
+def _warn_beyond(
+    what: str, names: tuple[str, ...], reach: np.ndarray, space: Box, where: str
+) -> None:
+    """Warn of columns that go beyond the environment's space: another unit, or another order.
+
+    Args:
+        what: sensor or command.
+        names: `[n]` of the columns.
+        reach: `[2, n]` their lowest and highest values.
+        space: of the environment's observations or actions.
+        where: the file.
+    """
+    (lowest, highest), low, high = reach, space.low, space.high
+    slack = 1e-3 * np.maximum(highest - lowest, 1e-9)
+    for k in np.flatnonzero((lowest < low - slack) | (highest > high + slack)):
+        warnings.warn(
+            f"{where}: {what} {names[k]} goes from {lowest[k]:.4g} to {highest[k]:.4g}, but number "
+            f"{k} of the environment's {'observations' if what == 'sensor' else 'actions'} from "
+            f"{low[k]:.4g} to {high[k]:.4g}: check units and order",
+            stacklevel=2,
+        )

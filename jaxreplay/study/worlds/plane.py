@@ -1,6 +1,7 @@
 """The simulated plane as the world of a study: its factors, its outcomes and its scene."""
 
 from collections.abc import Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from typing import Any, NamedTuple, cast
 
@@ -173,6 +174,10 @@ class Plane:
     def make(self, slots: int, render: bool = False) -> VectorEnv:
         """Return B slots for worlds; they can always be looked at."""
         return PlaneVectorEnv(slots, self.params)
+
+    def failures(self) -> AbstractContextManager[None]:
+        """Return a context that changes nothing: all code is this package's."""
+        return nullcontext()
 
     def options(self, values: dict[str, np.ndarray], position: np.ndarray) -> dict[str, np.ndarray]:
         """Return the settings of n runs, and where their cubes are (`cube`, `[n, 3]`)."""

@@ -1,6 +1,7 @@
 """What a study needs to know of the world in which its runs happen."""
 
 from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager
 from typing import Any, Protocol
 
 import numpy as np
@@ -79,6 +80,10 @@ class World(Protocol):
         Raises:
             ConfigError: they cannot be made.
         """
+        ...
+
+    def failures(self) -> AbstractContextManager[None]:
+        """Return a context in which an error of a user's own environment is told in one line."""
         ...
 
     def options(self, values: dict[str, np.ndarray], position: np.ndarray) -> dict[str, np.ndarray]:
