@@ -3,10 +3,13 @@
 import os
 import secrets
 import tomllib
+import warnings
 from pathlib import Path
 from typing import Any
 
 from jaxreplay.errors import ConfigError
+
+LARGEST_TOML = 2**24  # bytes
 
 
 def keep_compiled() -> None:
@@ -22,7 +25,14 @@ def keep_compiled() -> None:
     try:
         cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "jaxreplay"
         cache.mkdir(parents=True, exist_ok=True)
+        if not os.access(cache, os.W_OK | os.X_OK):
+            raise PermissionError
     except (OSError, RuntimeError):  # RuntimeError: the user has no home folder
+        warnings.warn(
+            "compiled programs cannot be stored (is XDG_CACHE_HOME, or ~/.cache, writable?): each "
+            "start compiles anew",
+            stacklevel=2,
+        )
         return
     jax.config.update("jax_compilation_cache_dir", str(cache))
     # JAX stores only programs that took over 1 s to compile; ours take 0.1–2 s each.
@@ -43,11 +53,19 @@ def read_toml(path: Path) -> dict[str, Any]:
         ConfigError: the file cannot be read, or is not TOML.
     """
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        if path.stat().st_size > LARGEST_TOML:
+            raise ConfigError(
+                f"{path}: is larger than {LARGEST_TOML >> 20} MiB: not a study's file"
+            )
+        return tomllib.loads(path.read_text(encoding="utf-8-sig"))  # with or without a mark
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read: {error.strerror}") from None
+    except ConfigError:
+        raise
     except ValueError as error:  # not TOML, or not UTF-8
         raise ConfigError(f"{path}: is not TOML: {error}") from None
+    except RecursionError:
+        raise ConfigError(f"{path}: is not TOML: too deeply nested") from None
 
 
 def write_whole(path: str | Path, content: bytes) -> None:

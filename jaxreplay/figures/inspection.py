@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
-from jaxreplay.figures.picture import Picture
+from jaxreplay.figures.picture import Picture, literal
 from jaxreplay.recordings.inspect import Inspection, table_of
 from jaxreplay.records import Records
 
@@ -69,7 +69,7 @@ def inspection_figure(records: Records, inspection: Inspection) -> Picture:
             axes.annotate(
                 f"{i}", point, (5, 4), textcoords="offset points", color=colour, fontsize=7
             )
-        axes.set_title(f"{column.kind} {column.name}", loc="left", fontsize=8)
+        axes.set_title(literal(f"{column.kind} {column.name}"), loc="left", fontsize=8)
         axes.margins(x=0.02, y=0.12)
         axes.set_xlabel("row" if period is None else "time, s", fontsize=8)
     for axes in panels[:used]:

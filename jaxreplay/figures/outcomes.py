@@ -9,7 +9,7 @@ import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
 
-from jaxreplay.figures.picture import Picture
+from jaxreplay.figures.picture import Picture, literal
 from jaxreplay.figures.table import counted, short, standard_error, units, wilson
 from jaxreplay.study.dataset import axes_of, cells, is_number, meanings, samples_of, told
 
@@ -84,7 +84,7 @@ def title(dataset: xr.Dataset, values: dict[str, Any]) -> str:
     return ", ".join(
         READINGS[value]
         if name == "jump"
-        else f"{SYMBOLS.get(name, dataset[name].attrs['symbol'])} "
+        else f"{SYMBOLS.get(name, literal(dataset[name].attrs['symbol']))} "
         f"{tick_text(name, value)}{units(dataset, name)}"
         for name, value in values.items()
     )
@@ -94,14 +94,14 @@ def label(dataset: xr.Dataset, axis: str) -> str:
     """Return the label of an axis: the factor along it, and its unit."""
     symbol = f"{SYMBOLS[axis]}, " if axis in SYMBOLS else ""
     unit = units(dataset, axis) and f",{units(dataset, axis)}"
-    return f"{symbol}{dataset[axis].attrs['long_name']}{unit}"
+    return f"{symbol}{literal(dataset[axis].attrs['long_name'])}{unit}"
 
 
 def tick_text(axis: str, value: Any) -> str:
     """Return a factor's value as it is written at a tick."""
     if axis == "theta_i":
         return "0" if value == 0 else f"$10^{{{np.log10(value):.3g}}}$"
-    return short(value)
+    return literal(short(value))
 
 
 def places(runs: xr.Dataset, along: str) -> np.ndarray:

@@ -6,6 +6,11 @@ from typing import Any
 from matplotlib.figure import Figure
 
 
+def literal(text: str) -> str:
+    """Return a text of the user's so that Matplotlib does not take a $ in it for mathematics."""
+    return text.replace("$", r"\$")
+
+
 class Picture(Figure):
     """A Matplotlib figure that a notebook shows without pyplot; `savefig` saves it."""
 

@@ -6,7 +6,7 @@ import matplotlib
 import numpy as np
 from matplotlib.ticker import LogLocator, NullFormatter
 
-from jaxreplay.figures.picture import Picture
+from jaxreplay.figures.picture import Picture, literal
 from jaxreplay.recordings.scores import sensor_span
 from jaxreplay.recordings.tune import Tuned
 from jaxreplay.records import Records
@@ -38,7 +38,9 @@ def tuning_figure(records: Records, tuned: Tuned) -> Picture:
         colours = matplotlib.colormaps["viridis"](np.linspace(0, 0.85, len(records.sensor_names)))
         for k, name in enumerate(records.sensor_names):
             style = _STYLES[k % len(_STYLES)]
-            sigmas.semilogy(steps, shares[:, k], style, color=colours[k], label=f"$\\sigma$ {name}")
+            sigmas.semilogy(
+                steps, shares[:, k], style, color=colours[k], label=f"$\\sigma$ {literal(name)}"
+            )
         sigmas.set_ylabel("σ, share of the sensor's range")
         for ax in axes.flat:
             ax.axvline(tuned.checkpoints[tuned.best], color="0.7", lw=0.8, zorder=0)

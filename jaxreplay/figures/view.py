@@ -17,6 +17,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 from PIL import Image
 
+from jaxreplay.figures.picture import literal
 from jaxreplay.figures.table import short
 from jaxreplay.plane.drawing import Scene
 from jaxreplay.plane.params import PlaneParams
@@ -48,7 +49,7 @@ class View:
             self.figure = Figure(figsize=(11, 5.4), dpi=120, layout="constrained")
             self.canvas = FigureCanvasAgg(self.figure)
             grid = GridSpec(3, 2, figure=self.figure, height_ratios=(1.3, 1.3, 1))
-            self.figure.suptitle(fill(which(run), 150), fontsize=9)
+            self.figure.suptitle(fill(literal(which(run)), 150), fontsize=9)
             self.lines: list[tuple[Line2D, np.ndarray]] = []
             sensors, past, commands = grid[2, 0], grid[1, 1], grid[2, 1]
             self.world = None
@@ -122,7 +123,7 @@ class View:
         axes.set_xlabel(f"time, {self.unit}", labelpad=3)
         for k, (curve, name) in enumerate(zip(values.T[:_CURVES], names[:_CURVES], strict=True)):
             label, style = _STYLES.get(name, (name, _style(k, min(len(names), _CURVES))))
-            (line,) = axes.plot([], [], lw=1.2, label=label, **style)
+            (line,) = axes.plot([], [], lw=1.2, label=literal(label), **style)
             self.lines.append((line, curve))
         axes.legend(
             loc="center left", bbox_to_anchor=(1, 0.5), frameon=False, fontsize=7,

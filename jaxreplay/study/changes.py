@@ -7,6 +7,7 @@ from typing import Any
 
 from jaxreplay.errors import ConfigError
 from jaxreplay.machine import read_toml
+from jaxreplay.study.factors import FACTORS
 from jaxreplay.study.parse import number
 from jaxreplay.study.worlds.world import listed
 
@@ -21,10 +22,14 @@ def apply(change: str, given: dict) -> None:
     path = key.strip().split(".")
     if not equals or not path[-1]:
         raise ValueError(f"--set {change}: give KEY=VALUE, such as axis.theta_i=[0.1, 0.01]")
+    if "\n" in change or "\r" in change:
+        raise ValueError(f"--set {change!r}: give one line, KEY=VALUE")
     try:
         value = tomllib.loads(f"value = {text}")["value"]
     except tomllib.TOMLDecodeError:
         value = text.strip()  # a word without its quotes
+    except RecursionError:
+        raise ValueError(f"--set {change[:40]}…: too deeply nested") from None
     put(value, given, path)
 
 
@@ -67,11 +72,13 @@ def tuned_values(path: Path, ranges: Mapping[str, float]) -> dict[str, float]:
         raise ConfigError(
             f"{path}: its sensors are {listed(list(sigma))}; the study's are {listed(list(ranges))}"
         )
-    values = {name: given[name] for name in ("theta_i", "theta_tau")}
-    read = number(0, float("inf"))
-    for name, full in ranges.items():
-        try:
-            values[f"sigma_{name}"] = read(sigma[name], f"sigma.{name}") / full
-        except ValueError as error:
-            raise ConfigError(f"{path}: {error}") from None
+    values = {}
+    try:
+        for name in ("theta_i", "theta_tau"):
+            values[name] = FACTORS[name].read(given[name], name)
+        for name, full in ranges.items():
+            low, high = 1e-6 * full, 1e6 * full
+            values[f"sigma_{name}"] = number(low, high)(sigma[name], f"sigma.{name}") / full
+    except ValueError as error:
+        raise ConfigError(f"{path}: {error}") from None
     return values

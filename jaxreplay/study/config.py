@@ -4,6 +4,7 @@ import warnings
 from collections.abc import Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, field, fields
+from math import prod
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,7 @@ from jaxreplay.study.worlds.plane import PLANE_FACTORS, Plane
 from jaxreplay.study.worlds.world import World
 
 SLOTS = 56  # worlds that advance together by default
+MOST_RUNS = 1_000_000  # their factors alone take a GB
 RUNS = 15  # of each cell by default: the paper's 5 positions × 3, or 15 of an environment
 
 
@@ -112,6 +114,16 @@ class StudyConfig:
         for group in self.dims.values():  # of axes that move together, one may repeat a value
             together = list(zip(*(axes[name] for name in group), strict=True))
             parse.distinct(together, ", ".join(f"axis.{name}" for name in group))
+        if self.n_runs > MOST_RUNS:
+            raise ValueError(
+                f"the study has {self.n_runs:.3g} runs; at most {MOST_RUNS:,} are possible"
+            )
+
+    @property
+    def n_runs(self) -> int:
+        """How many runs it has."""
+        cells = prod(len(self.axes[name]) for name in self.dims)
+        return cells * max(len(self.positions), 1) * self.repeats
 
     @property
     def world(self) -> World:

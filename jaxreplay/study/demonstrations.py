@@ -60,16 +60,14 @@ def _demonstrated(config: StudyConfig, folder: Path, robot: PlaneParams | None) 
         assert config.demonstrations is not None
         file, records = name_of(config.demonstrations), records_in(config.demonstrations)
     else:
+        _check_records(config, len(DEMONSTRATED), "the teacher's demonstrations")
         path = folder / _file_name(config, robot)
         if not path.exists():
             _demonstrate(config, path, robot)
         file, records = f"{path}", read(path)
     config.world.check(records, file)
-    values = config.axes.get("records", (config.fixed.get("records"),))
+    _check_records(config, records.n_records, file)
     try:
-        for value in values:
-            if value is not None:
-                choose_records(value, records.n_records, config.seed, 0)
         for value in config.axes.get("last_steps", (config.fixed.get("last_steps"),)):
             check_end(records, value or None)
         check_sigma(config, records.sensor_names)
@@ -78,6 +76,20 @@ def _demonstrated(config: StudyConfig, folder: Path, robot: PlaneParams | None) 
     if config.environment is not None:
         _warn_of_ends(config, records, file)
     return records
+
+
+def _check_records(config: StudyConfig, n: int, where: str) -> None:
+    """Check that each choice of records is possible with n of them.
+
+    Raises:
+        ConfigError: one is not.
+    """
+    for value in config.axes.get("records", (config.fixed.get("records"),)):
+        try:
+            if value is not None:
+                choose_records(value, n, config.seed, 0)
+        except ValueError as error:
+            raise ConfigError(f"{error} (of {where})") from None
 
 
 def _warn_of_ends(config: StudyConfig, records: Records, file: str) -> None:

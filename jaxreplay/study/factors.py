@@ -10,7 +10,7 @@ from gymnasium.vector import VectorEnv
 from jaxreplay.filter.belief import DEFAULT_JUMP, READINGS
 from jaxreplay.filter.options import LAST_STEPS, STARTS
 from jaxreplay.loop.rivals import controller_named
-from jaxreplay.study.parse import Reader, number, one_of, whole
+from jaxreplay.study.parse import Reader, number, one_of, probability, whole
 
 
 class AddedSensor(NamedTuple):
@@ -116,8 +116,10 @@ def _drawn_anew(value: str | None, repeat: int) -> Hashable:
 
 
 FACTORS: dict[str, Factor] = {  # of every study
-    "theta_i": Factor(REQUIRED, number(0, 1), "θ_I", "1", "probability to jump to another record"),
-    "theta_tau": Factor(0.05, number(0, 0.5), "θ_τ", "1", "probability to stay, and to skip"),
+    "theta_i": Factor(
+        REQUIRED, probability(1), "θ_I", "1", "probability to jump to another record"
+    ),
+    "theta_tau": Factor(0.05, probability(0.5), "θ_τ", "1", "probability to stay, and to skip"),
     "sigma": Factor(0.1, number(1e-6, 1e6), "σ", "1", "σ of every sensor, as a share of its range"),
     "jump": Factor(
         DEFAULT_JUMP,

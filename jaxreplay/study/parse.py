@@ -21,6 +21,19 @@ from jaxreplay.plane.positions import CUBE_X, CUBE_Y
 Reader = Callable[[Any, str], Any]
 
 
+def probability(high: float) -> Reader:
+    """Return a reader of a probability that single precision tells from 0, if it is not 0."""
+    smallest = float(np.finfo(np.float32).tiny)
+
+    def read(given: Any, key: str) -> float:
+        value = number(0, high)(given, key)
+        if 0 < value < smallest:
+            raise ValueError(f"{key} must be 0 or at least {smallest:.2g}; got {value:g}")
+        return value
+
+    return read
+
+
 def number(low: float, high: float) -> Reader:
     """Return a reader of a number within bounds."""
 
@@ -81,7 +94,7 @@ def groups(given: Any, key: str, axes: dict[str, tuple]) -> tuple[tuple[str, ...
         )
     names = [name for group in given for name in group]
     for name in names:
-        if name not in axes:
+        if not isinstance(name, str) or name not in axes:
             raise ValueError(f"{key} names {name!r}, which is no axis here ({', '.join(axes)})")
     distinct(names, key)
     for group in given:

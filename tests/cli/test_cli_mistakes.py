@@ -1,16 +1,21 @@
 """What a user can get wrong in what `jaxreplay run` reads."""
 
 import re
+from unittest import mock
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from study_helpers import SMALL, TUNED, made_up_study, some_records, write
 
-from jaxreplay import cli
+from jaxreplay import cli, machine
 from jaxreplay.errors import ConfigError
 from jaxreplay.plane.params import COMMAND_NAMES, SENSOR_NAMES
 from jaxreplay.records import Records
+from jaxreplay.study import config
 from jaxreplay.study.config import load_config
+from jaxreplay.study.worlds.plane import PLANE_FACTORS
 
 
 @pytest.mark.parametrize(
@@ -84,6 +89,15 @@ from jaxreplay.study.config import load_config
             r"zip: theta_i, battery have \[1, 2\] values; give the same number of each",
         ),
         ("[axis\n", "is not TOML"),
+        (f"theta_i = {'9' * 5000}", "is not TOML"),
+        (f"theta_i = {'[' * 3000}", "is not TOML: too deeply nested"),
+        ("zip = [[['a'], ['b']]]\ntheta_i = 0.1", r"zip names \['a'\], which is no axis"),
+        ("theta_i = 1e-300", r"theta_i must be 0 or at least 1\.2e-38; got 1e-300"),
+        (
+            "repeats = 10000\n[axis]\ntheta_i = {linspace = [0, 1, 10000]}\n"
+            "theta_tau = {linspace = [0, 0.5, 10000]}",
+            r"the study has 5e\+12 runs; at most 1,000,000",
+        ),
     ],
 )
 def test_a_mistake_is_one_line_and_status_2_before_any_work(tmp_path, capsys, text, message):
@@ -121,8 +135,11 @@ def test_a_mistake_in_set_is_reported_too(tmp_path, capsys, change, message):
         (SMALL, "must contain theta_i, theta_tau and a table sigma, as jaxreplay tune saves"),
         (TUNED.replace("proximeter_5", "sonar"), "4, sonar; the study's are camera"),
         (TUNED.replace("= 0.1\n", "= 'a'\n"), "tuned.toml: sigma.proximeter_0 must be a number"),
-        (TUNED.replace("= 0.1\n", "= 0\n"), "sigma_proximeter_0 must be in [1e-06, 1e+06]; got 0"),
-        (TUNED.replace("0.03", "3"), "theta_i must be in [0, 1]; got 3"),
+        (
+            TUNED.replace("= 0.1\n", "= 0\n"),
+            "toml: sigma.proximeter_0 must be in [1e-06, 1e+06]; got 0",
+        ),
+        (TUNED.replace("0.03", "3"), "tuned.toml: theta_i must be in [0, 1]; got 3"),
     ],
 )
 def test_a_mistake_in_tuned_parameters_is_reported(tmp_path, capsys, text, message):
@@ -175,3 +192,73 @@ def test_a_file_of_demonstrations_that_is_gone_is_missed_not_made_anew(tmp_path,
     assert cli.main(["watch", str(out)]) == 2
     assert "mine.npz: there is no such file of demonstrations; put it" in capsys.readouterr().err
     assert not mine.exists()
+
+
+def test_a_byte_order_mark_is_no_mistake(tmp_path):
+    path = tmp_path / "study.toml"
+    path.write_bytes(b"\xef\xbb\xbftheta_i = 0.1\n")
+    assert load_config(path).fixed["theta_i"] == 0.1
+
+
+def test_a_file_that_is_no_studys_is_not_read(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(machine, "LARGEST_TOML", 20)
+    path = write(tmp_path, "theta_i = 0.1  # and much more")
+    assert cli.main(["run", str(path)]) == 2
+    assert "is larger than 0 MiB: not a study's file" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("change", ["theta_i=0.1\ntheta_tau=0.2", "theta_i=" + 3000 * "["])
+def test_a_change_is_one_line(tmp_path, capsys, change):
+    path = write(tmp_path, "theta_i = 0.1")
+    assert cli.main(["run", str(path), "--set", change]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "--set" in line
+
+
+KEYS = [*PLANE_FACTORS, "zip", "positions", "repeats", "seed", "slots", "demonstrations", "plane"]
+KEYS += ["environment", "success_return", "axis", "sigma_x", "theta", ""]
+INNER = ["linspace", "logspace", "x", "y", "file", "id", "sensors"]
+PLAIN = st.booleans() | st.integers() | st.floats() | st.text(max_size=5)
+PLAIN |= st.sampled_from(["own_tau", "filter", "Pendulum-v1", 0.1, 3])
+VALUES = st.recursive(
+    PLAIN,
+    lambda inner: (
+        st.lists(inner, max_size=3)
+        | st.dictionaries(
+            st.sampled_from([*KEYS, "linspace", "x", "y", "file", "id"]), inner, max_size=3
+        )
+    ),
+    max_leaves=6,
+)
+
+
+@settings(max_examples=300, deadline=None)
+@given(given=st.dictionaries(st.sampled_from(KEYS), VALUES, max_size=5), with_theta=st.booleans())
+def test_whatever_a_file_contains_is_a_study_or_a_mistake_in_one_line(given, with_theta):
+    if with_theta:
+        given = {"theta_i": 0.1} | given
+    with mock.patch.object(config, "read_toml", return_value=given):
+        message = mistake_of(lambda: load_config("any.toml"))
+    assert message is None or (message.startswith("any.toml: ") and "\n" not in message)
+
+
+def mistake_of(call):
+    """The message of the ConfigError that a call raises, if it does."""
+    try:
+        call()
+    except ConfigError as error:
+        return str(error)
+    return None
+
+
+@pytest.mark.parametrize(
+    ("records", "message"),
+    [("21", "records: 21 cannot be drawn from 20"), ("[20]", "there is no 20; they are 0 to 19")],
+)
+def test_a_choice_of_records_is_checked_before_demonstrations_are_made(
+    tmp_path, capsys, records, message
+):
+    path, out = write(tmp_path, f"theta_i = 0.1\nrecords = {records}"), tmp_path / "out"
+    assert cli.main(["run", str(path), "--out", str(out)]) == 2
+    assert message in capsys.readouterr().err
+    assert not list(out.rglob("*.npz"))

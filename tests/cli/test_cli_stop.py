@@ -8,7 +8,7 @@ import time
 
 import psutil
 import pytest
-from study_helpers import write
+from study_helpers import made_up_study, write
 
 NOTE = "; finished shards are kept; run the same command again to continue"
 
@@ -82,3 +82,13 @@ def test_signals_that_were_ignored_still_are(tmp_path):
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert (done.returncode, done.stdout) == (0, "goes on\n")
+
+
+@pytest.mark.parametrize("closed", ["2>&-", ">&- 2>&-", "<&-"])
+def test_a_closed_stream_is_no_failure(tmp_path, closed):
+    """As where a job's output is not wanted."""
+    made_up_study(write(tmp_path, "theta_i = 0.1"), tmp_path / "out")
+    command = f"{sys.executable} -m jaxreplay show out {closed}"
+    done = subprocess.run(command, shell=True, cwd=tmp_path, stdout=subprocess.PIPE, text=True)
+    assert done.returncode == 0
+    assert "error of S, mm" in done.stdout or ">&- 2" in closed

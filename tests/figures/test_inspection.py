@@ -39,3 +39,9 @@ def test_the_figure_is_drawn_for_few_and_many(tmp_path, n, n_s, length):
     with Image.open(tmp_path / "shown.png") as image:
         panels = -(-(n_s + 3) // (2 if n_s < 4 else 3))
         assert image.size == (1200, pytest.approx(150 * (1.45 * panels + 0.5), abs=1))
+
+
+def test_names_with_dollars_are_drawn_as_they_are(tmp_path):
+    rows = np.linspace(0, 1, 30)[:, None] ** [1.0, 2.0]
+    records = Records.from_sequences([rows] * 2, [rows] * 2, ["$\\x$", "a$b"], ["$$", "u"])
+    inspection_figure(records, inspect(records)).savefig(tmp_path / "names.png")
