@@ -6,6 +6,14 @@ Registers `Line-v0`, so that `"line_world:Line-v0"` can be made.
 import gymnasium
 import numpy as np
 
+LINE = """
+environment = "line_world:Line-v0"
+demonstrations = "line.npz"
+repeats = 2
+[axis]
+theta_i = [0.1]
+"""
+
 
 class Line(gymnasium.Env):
     """A point that starts at up to ±0.01 and moves by the action; its info has `is_success`.

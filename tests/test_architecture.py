@@ -149,7 +149,7 @@ def call_each(folder):
     if not (folder / "study").exists():
         made_up_study(file, folder / "study")
     called["load_config"] = jr.load_config(file)
-    with pytest.raises(FileExistsError):
+    with pytest.raises(NotADirectoryError):
         called["run_study"] = jr.run_study(config, file)  # not a folder
     called["inspect"] = jr.inspect(records)
     records.save(folder / "records.npz")

@@ -1,6 +1,7 @@
 """One robot, live: NumPy arrays in and out, everything compiled before the first command."""
 
 import warnings
+from threading import RLock
 from typing import NamedTuple
 
 import jax
@@ -45,6 +46,9 @@ class Replayer:
             robot.send(replayer.command())
             replayer.observe(robot.sense())
 
+    Threads may share it: a call waits until another has ended. Commands and observations must still
+    alternate.
+
     Attributes:
         end_probability: p(τ in the last 10 samples, or `last_steps`) after the last observation
             (§ 2.2.5).
@@ -82,7 +86,7 @@ class Replayer:
         if period is not None:
             records = records.resampled(period)
         check_end(records, last_steps)
-        self._records = records
+        self._records, self._lock = records, RLock()
         self._tracker = Tracker(records, jax.tree.map(lambda x: x[None], params), options)
         self._tracker.compile()
         self.reset()
@@ -98,9 +102,10 @@ class Replayer:
         """
         if start is not None:
             self._tracker.start_from(options_of("own_tau", start).start)
-        self._tracker.begin(_THIS, self._tracker.params)
-        self._observed = True
-        self.end_probability = self.log_evidence = self._distance = 0.0
+        with self._lock:
+            self._tracker.begin(_THIS, self._tracker.params)
+            self._observed = True
+            self.end_probability = self.log_evidence = self._distance = 0.0
 
     def command(self) -> np.ndarray:
         """Return the command `[n_u]` for the next control step, in the actuators' units.
@@ -108,10 +113,11 @@ class Replayer:
         It is equation 8, within the range that each command has in the records.
         Called again without an observation between, it continues by time alone.
         """
-        if not self._observed:
-            self.observe(np.full(self._records.n_sensors, np.nan))
-        self._observed = False
-        return self._tracker.command[0].copy()
+        with self._lock:
+            if not self._observed:
+                self.observe(np.full(self._records.n_sensors, np.nan))
+            self._observed = False
+            return self._tracker.command[0].copy()
 
     def observe(self, z: np.ndarray) -> float:
         """Update the belief with the observation made after the command.
@@ -146,18 +152,20 @@ class Replayer:
                     f", too large for {self._records.nodes.dtype}; give NaN if it is no measurement"
                 )
             raise ValueError(f"the observation's {names[k]} is {z[k]}{why}")
-        if self._observed:
-            raise ValueError("no command since the last observation: call command() first")
-        log_evidence, end_probability, distance = self._tracker.observe(z[None], _THIS)
-        self._observed = True
-        self.log_evidence += float(log_evidence[0])
-        self.end_probability, self._distance = float(end_probability[0]), float(distance[0])
-        return float(log_evidence[0])
+        with self._lock:
+            if self._observed:
+                raise ValueError("no command since the last observation: call command() first")
+            log_evidence, end_probability, distance = self._tracker.observe(z[None], _THIS)
+            self._observed = True
+            self.log_evidence += float(log_evidence[0])
+            self.end_probability, self._distance = float(end_probability[0]), float(distance[0])
+            return float(log_evidence[0])
 
     @property
     def following(self) -> Followed:
         """The most probable record and sample for the next command (or the one just returned)."""
-        belief = jax.tree.map(np.asarray, self._tracker.belief(0))
+        with self._lock:
+            belief = jax.tree.map(np.asarray, self._tracker.belief(0))
         p = belief.p.value()
         record, column = np.unravel_index(np.argmax(p), p.shape)
         start = np.broadcast_to(belief.start, len(p))[record]

@@ -101,15 +101,12 @@ class PlaneVectorEnv(gymnasium.vector.VectorEnv):
         self._servos = elevation_servo(p), tilt_servo(p)
         self._worlds: dict[int, World] = {}  # by slot; empty slots rest
         self.pose = Pose(np.zeros((n, 3)), np.zeros((n, 3)), np.full(n, p.high), np.zeros(n))
-        self._set_points = np.zeros((n, 2))
-        self._gain = np.ones((n, 2))
-        self.held = np.zeros(n, bool)
-        self._grasped_at = np.zeros((n, 2))  # lateral distance and elevation, m
+        self._set_points, self._gain = np.zeros((n, 2)), np.ones((n, 2))
+        self.held, self._grasped_at = np.zeros(n, bool), np.zeros((n, 2))  # lateral, elevation; m
         self.alignment_error = np.full(n, np.nan)
         self.resting = np.ones(n, bool)
         self._was_lifted = np.zeros(n, bool)
-        self._gripper_above = np.zeros(n, bool)
-        self._off_floor = np.zeros(n, bool)
+        self._gripper_above, self._off_floor = np.zeros((2, n), bool)
         self._camera = np.zeros(n)
         self._observations = np.zeros((n, 7))
         self._step = np.zeros(n, int)
@@ -182,6 +179,7 @@ class PlaneVectorEnv(gymnasium.vector.VectorEnv):
 
         Raises:
             ValueError: the actions are not `[B, 5]`, or not finite.
+            ResetNeeded: `reset` has not been called (an error of Gymnasium's).
         """
         actions = np.asarray(actions, float)
         if actions.shape != (self.num_envs, 5) or not np.isfinite(actions).all():
@@ -189,6 +187,8 @@ class PlaneVectorEnv(gymnasium.vector.VectorEnv):
                 f"actions must be {self.num_envs} × 5 finite numbers; got {actions.shape} "
                 f"with {np.sum(~np.isfinite(actions))} not finite"
             )
+        if not self._worlds:
+            raise gymnasium.error.ResetNeeded("call reset before step: there are no worlds yet")
         p, going = self.params, ~self.resting
         noise = self._noise[np.arange(self.num_envs), self._step]
         self._move_gripper(actions, going)

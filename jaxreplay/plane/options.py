@@ -68,6 +68,11 @@ def parse_options(
     cubes = np.asarray(options.get("cube", np.full((n, 3), np.nan)), float)
     if cubes.shape != (n, 3) or ("cube" in options and not np.isfinite(cubes).all()):
         raise ValueError(f"cube must be {n} finite x, y (m) and angle (rad); got {cubes}")
+    (x, y, angle), half = cubes.T, params.side / 2
+    seen = np.stack([np.cos(angle) * x + np.sin(angle) * y, np.cos(angle) * y - np.sin(angle) * x])
+    gap = np.hypot(*np.maximum(np.abs(seen) - half, 0))  # of the robot's centre to the cube
+    if (gap < params.hull_radius).any():
+        raise ValueError(f"cube is on the robot, which starts at (0, 0); got {cubes}")
     values = []
     for name, (low, high) in SETTINGS.items():
         value = np.asarray(options.get(name, np.full(n, getattr(params, name))), float)

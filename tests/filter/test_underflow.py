@@ -6,7 +6,7 @@ import pytest
 from filter_helpers import both_precisions, both_readings, noise, run, run_reference, x64
 from random_helpers import N_SENSORS, random_sequences
 
-from jaxreplay import Params, build_filter
+from jaxreplay import Params, Records, build_filter
 
 SIGMA = np.array([0.5, 2.0])
 
@@ -63,3 +63,30 @@ def test_far_observations_choose_the_nearest_record(jump, precision, away, side)
         )
     assert (posterior.sum(2).argmax(1) == (1 if side > 0 else 2)).all()
     np.testing.assert_allclose(posterior.sum((1, 2)), 1, atol=1e-6)
+
+
+@both_readings
+@pytest.mark.parametrize("n", [30, pytest.param(3000, marks=pytest.mark.slow)])
+def test_posteriors_sum_to_1_however_far_everything_is(jump, n):
+    """Records that reach 10^21 σ, and observations up to 10^4 times beyond them."""
+    rng, filter = np.random.default_rng(n), build_filter(jump)
+
+    @jax.jit
+    def sums(records, params, zs):
+        def step(belief, z):
+            belief, evidence = filter.update(
+                records, params, filter.predict(records, params, belief), z
+            )
+            return belief, (filter.posterior(records, belief).sum(), evidence)
+
+        return jax.lax.scan(step, filter.init(records), zs)[1]
+
+    for _ in range(n):
+        scale = 10.0 ** rng.uniform(-3, 18, N_SENSORS)
+        rows = [rng.normal(size=(12, N_SENSORS)) * scale for _ in range(4)]
+        records = Records.from_sequences(rows, [np.zeros((12, 1))] * 4).centred()
+        params = Params(0.1, 0.05, 10.0 ** rng.uniform(-3, 2, N_SENSORS))
+        zs = rng.normal(size=(6, N_SENSORS)) * scale * 10.0 ** rng.uniform(-2, 4, (6, 1))
+        total, evidence = sums(records, params, np.asarray(zs, records.nodes.dtype))
+        np.testing.assert_allclose(total, 1, atol=1e-5)
+        assert np.isfinite(evidence).all()

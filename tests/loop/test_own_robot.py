@@ -60,7 +60,7 @@ def parameters(n, sigma=SIGMA):
 
 
 @pytest.mark.parametrize(
-    ("last_steps", "ending"), [(10, "completed"), (1, "completed"), (None, "")]
+    ("last_steps", "ending"), [(10, "completed"), (1, "completed"), (None, ""), (0, "")]
 )
 def test_a_replay_ends_where_last_steps_says(last_steps, ending):
     done = replay(ways(), parameters(1), Line(), [0], last_steps=last_steps)
@@ -85,7 +85,7 @@ def test_a_replayer_ends_there_too():
 
 @pytest.mark.parametrize("name", ["start", "last_steps", "jump"])
 def test_options_without_such_a_value_are_refused(name):
-    bad = {"start": "middle", "last_steps": 0, "jump": "both"}[name]
+    bad = {"start": "middle", "last_steps": -1, "jump": "both"}[name]
     with pytest.raises(ValueError, match=f"{name} must be .*; got {bad!r}"):
         Replayer(ways(), Params(0.01, 0.05, SIGMA), **{name: bad})
     with pytest.raises(ValueError, match=f"{name} must be .*; got {bad!r}"):

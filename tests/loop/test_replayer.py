@@ -1,3 +1,5 @@
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 import pytest
 from random_helpers import as_float32, random_sequences
@@ -140,3 +142,20 @@ def test_what_float32_cannot_hold_is_warned_of():
     records = Records.from_sequences([np.linspace(0, 1e5, 50)[:, None]], [np.zeros((50, 1))])
     with pytest.warns(UserWarning, match="z0 has values 1000000 σ from 0, where float32"):
         live.check_fit(records, Params(*THETA, [0.1]))
+
+
+def test_two_threads_may_share_it(replayer):
+    """One commands and observes; another asks what is followed. Results are as of one thread."""
+    replayer.reset()
+    zs = [s + 0.1 for s in replayer.sensors[0][:60]]
+
+    def drive():
+        return np.array([(replayer.command(), replayer.observe(z))[0] for z in zs])
+
+    alone = drive()
+    replayer.reset()
+    with ThreadPoolExecutor(2) as threads:
+        driven = threads.submit(drive)
+        seen = [replayer.following.probability for _ in iter(lambda: driven.done(), True)]
+        np.testing.assert_array_equal(driven.result(), alone)
+    assert all(0 < p <= 1 + 1e-6 for p in seen)

@@ -267,3 +267,17 @@ def test_a_restart_in_a_slot_is_a_fresh_world_and_leaves_the_others_alone(action
         was = np.where(others, t, half + t)
         np.testing.assert_array_equal(observations, fresh[0][was, range(3)])
         np.testing.assert_array_equal(everything(env), fresh[1][was, range(3)])
+
+
+def test_a_step_before_the_reset_is_refused():
+    with pytest.raises(gymnasium.error.ResetNeeded, match="call reset before step"):
+        PlaneVectorEnv(2).step(np.zeros((2, 5)))
+
+
+@pytest.mark.parametrize("cube", [(0.0, 0.0, 0.0), (0.1, 0.0, 0.0), (-0.05, 0.06, 1.0)])
+def test_a_cube_on_the_robot_is_refused(cube):
+    env = PlaneVectorEnv(2)
+    with pytest.raises(ValueError, match="cube is on the robot"):
+        env.reset(seed=1, options={"cube": np.array([(0.3, 0.0, 0.0), cube])})
+    # Beside the hull it may stand.
+    env.reset(seed=1, options={"cube": np.array([(0.3, 0.0, 0.0), (0.2, 0.0, 0.0)])})

@@ -266,7 +266,7 @@ def test_a_mistake_about_other_files(tmp_path, monkeypatch):
     refused(r"no file has such a name", "*.csv")
     refused("no file is given", [])
     (tmp_path / "empty").mkdir()
-    refused("empty is a folder with none; give one with files of one format of", "empty")
+    refused("empty is a folder without such a file; give one with files of one format of", "empty")
     (tmp_path / "a.txt").write_text("x")
     refused(r"a\.txt does not contain records: its name must end in one of \.npz, \.csv", "a.txt")
     for name in ("a.parquet", "a.h5"):

@@ -80,7 +80,9 @@ class Scaled:
         top = jnp.max(self.exponent, axis=axis, keepdims=True)
         # Stored first: XLA's library on CPU takes 13 µs for a sum of products, 1 for one of floats.
         total = jnp.sum(stage(Scaled.at)(self, top), axis=axis)
-        return stage(scaled)(total, top.reshape(total.shape))
+        # Beyond the limits of its terms, which are products: a sum that is clipped to them would
+        # not be the sum.
+        return stage(_scaled_sum)(total, top.reshape(total.shape))
 
     def where(self, condition: jax.Array) -> "Scaled":
         """Return the numbers where the condition holds, 0 elsewhere."""
@@ -96,18 +98,25 @@ class Scaled:
         return jnp.log(self.mantissa) + self.exponent * jnp.asarray(np.log(2), self.mantissa.dtype)
 
 
-def scaled(mantissa: jax.Array, exponent: jax.Array | int = 0) -> Scaled:
+def scaled(mantissa: jax.Array, exponent: jax.Array | int = 0, lowest: int = LOWEST) -> Scaled:
     """Return mantissa × 2^exponent normalised: mantissa in [1, 2), or 0.
 
-    The given mantissa may be any float from 0 to 2^126 (float32).
+    Args:
+        mantissa: any floats from 0 to 2^126 (float32).
+        exponent: integers.
+        lowest: the exponent is clipped to ± this.
     """
     integer, bits, bias = _LAYOUT[mantissa.dtype]
     pattern = jax.lax.bitcast_convert_type(jax.lax.stop_gradient(mantissa), integer)
     shift = (pattern >> bits).astype(jnp.int32) - bias
     zero = pattern >> bits == 0  # 0, or a subnormal, which XLA flushes to 0
-    total = jnp.clip(shift + exponent, LOWEST, -LOWEST)
+    total = jnp.clip(shift + exponent, lowest, -lowest)
     unit = mantissa * _power_of_two(-shift, mantissa.dtype)
     return Scaled(jnp.where(zero, 0.0, unit), jnp.where(zero, ZERO[1], total))
+
+
+def _scaled_sum(total: jax.Array, top: jax.Array) -> Scaled:
+    return scaled(total, top, 2 * LOWEST - 2**16)
 
 
 def exp(x: jax.Array) -> Scaled:
