@@ -82,7 +82,13 @@ def as_npz(folder, paths, velocities):
     return {"path": folder / "all.npz"}
 
 
-@pytest.mark.parametrize("written", [as_csv, as_lerobot, as_robomimic, as_minari, as_npz])
+SLOW = (as_robomimic, as_npz)  # with the readers of the others
+
+
+@pytest.mark.parametrize(
+    "written",
+    [as_csv, as_lerobot, as_minari, *(pytest.param(way, marks=pytest.mark.slow) for way in SLOW)],
+)
 def test_a_drawing_is_replayed_from_each_layout(tmp_path, motions, written):
     """Six drawings, replayed from where the seventh begins, end within 5 mm of where it ends.
 

@@ -232,7 +232,7 @@ VALUES = st.recursive(
 )
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=200, deadline=None)
 @given(given=st.dictionaries(st.sampled_from(KEYS), VALUES, max_size=5), with_theta=st.booleans())
 def test_whatever_a_file_contains_is_a_study_or_a_mistake_in_one_line(given, with_theta):
     if with_theta:

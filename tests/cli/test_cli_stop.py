@@ -46,8 +46,7 @@ def stopped(folder, after, number, *more):
 @pytest.mark.parametrize(
     ("after", "number", "more"),
     [
-        (1.0, signal.SIGINT, []),
-        (6.0, signal.SIGINT, []),
+        (1.5, signal.SIGINT, []),
         (9.0, signal.SIGINT, ["--workers", "2"]),
         (4.0, signal.SIGTERM, []),
         *(
@@ -84,7 +83,9 @@ def test_signals_that_were_ignored_still_are(tmp_path):
     assert (done.returncode, done.stdout) == (0, "goes on\n")
 
 
-@pytest.mark.parametrize("closed", ["2>&-", ">&- 2>&-", "<&-"])
+@pytest.mark.parametrize(
+    "closed", [">&- 2>&-", *(pytest.param(c, marks=pytest.mark.slow) for c in ("2>&-", "<&-"))]
+)
 def test_a_closed_stream_is_no_failure(tmp_path, closed):
     """As where a job's output is not wanted."""
     made_up_study(write(tmp_path, "theta_i = 0.1"), tmp_path / "out")

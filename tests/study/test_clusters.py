@@ -152,6 +152,7 @@ def test_a_mistake_about_a_scheduler_is_one_line(tmp_path, capsys, monkeypatch, 
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 def test_certificates_are_used(tmp_path):
     """With those of the scheduler its workers are reached."""
     security = Security.temporary()

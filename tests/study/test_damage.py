@@ -11,7 +11,7 @@ import jaxreplay as jr
 from jaxreplay import cli
 
 TEXT = "theta_i = 0.01\nslots = 4\n[axis]\njump = ['own_tau', 'same_tau']"
-HOW_MANY = [60, pytest.param(1500, marks=pytest.mark.slow)]
+HOW_MANY = [25, pytest.param(1500, marks=pytest.mark.slow)]
 
 
 @pytest.fixture(scope="module")

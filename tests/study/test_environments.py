@@ -126,9 +126,9 @@ def test_it_is_resumed_and_other_settings_are_another_study(car, capsys):
         ("", "S"),
         ("goal = 5.0", "Fe"),
         ("edge = 0.5", "Ft"),
-        ("edge = 1.05", "S"),
         ("max_episode_steps = 9", "Fs"),
-        ("max_episode_steps = 15", "S"),
+        pytest.param("edge = 1.05", "S", marks=pytest.mark.slow),
+        pytest.param("max_episode_steps = 15", "S", marks=pytest.mark.slow),
     ],
 )
 def test_how_runs_end(line, arguments, outcome):

@@ -1,5 +1,6 @@
 import os
 import resource
+import shutil
 import signal
 import subprocess
 import sys
@@ -25,15 +26,6 @@ slots = 2
 theta_i = 0.01
 [axis]
 jump = ["own_tau"]
-"""
-SCRIPT = """
-import sys
-from jaxreplay import cli
-from jaxreplay.loop import tracker
-from jaxreplay.study import runs, shard
-tracker.WINDOWS = (256,)
-runs.SLOTS, shard.audit = 2, lambda *replay: (0.0, 0.0)
-sys.exit(cli.main(["run", sys.argv[1], "--out", sys.argv[2]]))
 """
 
 
@@ -196,26 +188,55 @@ def test_a_full_disk_is_reported_and_leaves_no_half_file(finished, tmp_path, mon
 
 
 @pytest.mark.slow
-def test_killed_at_20_moments_it_goes_on_to_the_same_bytes(finished, tmp_path):
-    config, folder = finished
+@pytest.mark.parametrize("more", [[], ["--workers", "2"]])
+def test_killed_at_50_moments_it_goes_on_to_the_same_bytes(tmp_path, more):
+    """25 kills each way, spread over a run's time; whatever is finished stays as it is."""
+    config = of_beginnings(tmp_path, TEXT.replace("repeats = 1\nslots = 2", "repeats = 34"))
     cache = {"JAX_COMPILATION_CACHE_DIR": str(tmp_path / "cache")}
     cache["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0"
-    command = [sys.executable, "-c", SCRIPT, str(config), str(tmp_path / "out")]
-    begin = time.monotonic()
-    rehearsal = [*command[:-1], str(tmp_path / "rehearsal")]
-    subprocess.run(rehearsal, env=os.environ | cache, check=True, capture_output=True)
-    lasts = time.monotonic() - begin
-    for moment in np.random.default_rng(20).uniform(0, lasts, 20):
-        process = subprocess.Popen(
-            command, env=os.environ | cache, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
-        )
+
+    def started(out):
+        command = [sys.executable, "-m", "jaxreplay", "run", str(config), "--out", str(out), *more]
+        quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+        return subprocess.Popen(command, env=os.environ | cache, **quiet)
+
+    for _ in range(2):  # the first compiles
+        begin, rehearsal = time.monotonic(), tmp_path / "rehearsal"
+        shutil.rmtree(rehearsal, ignore_errors=True)
+        assert started(rehearsal).wait() == 0
+    lasts, whole, out = time.monotonic() - begin, shards(rehearsal), tmp_path / "out"
+    rng, killed = np.random.default_rng(50), 0
+    while killed < 25:
+        process = started(out)
         try:
-            process.wait(moment)
+            process.wait(rng.uniform(0, lasts))
         except subprocess.TimeoutExpired:
             process.send_signal(signal.SIGKILL)
+            killed += 1
         process.wait()
-    subprocess.run(command, env=os.environ | cache, check=True, capture_output=True)
-    assert shards(tmp_path / "out") == shards(tmp_path / "rehearsal")
-    mine, theirs = (open_study(tmp_path / name) for name in ("out", "rehearsal"))
-    xr.testing.assert_identical(mine, theirs)
-    xr.testing.assert_identical(mine, open_study(folder))
+        found = shards(out) if (out / "shards").exists() else {}
+        assert found == {name: whole[name] for name in found}
+        if len(found) == len(whole):
+            (out / "shards" / rng.choice(sorted(whole))).unlink()
+    assert started(out).wait() == 0
+    assert shards(out) == whole
+    xr.testing.assert_identical(open_study(out), open_study(rehearsal))
+
+
+def test_of_several_processes_started_at_once_one_works(tmp_path):
+    """The others say so; none spoils the demonstrations."""
+    (tmp_path / "study.toml").write_text("theta_i = 0.1\n")
+    command = [sys.executable, "-m", "jaxreplay", "run", "study.toml"]
+    each = [
+        subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, text=True) for _ in range(3)
+    ]
+    deadline = time.monotonic() + 60
+    while sum(process.poll() is None for process in each) > 1 and time.monotonic() < deadline:
+        time.sleep(0.1)
+    working = [process for process in each if process.poll() is None]
+    for process in working:
+        process.terminate()
+    told = [process.communicate()[1] for process in each]
+    assert sorted(process.returncode for process in each) == [2, 2, 143]
+    assert len(working) == 1
+    assert sum("another process is running this study" in text for text in told) == 2
