@@ -24,8 +24,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, TextIOWrapper):
             stream.reconfigure(errors="replace")
-    if (here := os.getcwd()) not in sys.path:
-        sys.path.append(here)  # for "module:name", a user's own controller or environment
+    if "" not in sys.path:
+        sys.path.append("")  # the current folder, for a user's own controller or environment
     parser = _parser()
     options = parser.parse_args(arguments)
     if options.action is None:

@@ -52,10 +52,11 @@ def note_on_stop(text: str) -> None:
 
 def _wait(ours: socket.socket, theirs: socket.socket) -> None:
     """Wait for a signal, and end the process. `theirs` is kept open by being an argument."""
-    number = signal.Signals(ours.recv(1)[0])
+    while (number := ours.recv(1)[0]) not in _WORDS:  # a signal that something else handles
+        pass
     bar = "\n" if sys.stderr is not None and sys.stderr.isatty() else ""  # ends a progress bar
     with suppress(OSError):  # stderr is closed
-        os.write(2, f"{bar}jaxreplay: {_WORDS[number]}{_note}\n".encode())
+        os.write(2, f"{bar}jaxreplay: {_WORDS[signal.Signals(number)]}{_note}\n".encode())
         os.dup2(os.open(os.devnull, os.O_WRONLY), 2)  # for what other threads will say
     children = psutil.Process().children(recursive=True)
     for child in children:

@@ -85,7 +85,7 @@ def run_again(config: StudyConfig, demonstrations: Demonstrations, k: int) -> Tr
     params, (seed,), options = settings_of(config, demonstrations, one)
     how, chosen = how_of(one), records_of(config, demonstrations, one)
     controller = controller_named(one.values["controller"][0])
-    with closing(worlds_of(config, one, render=True)) as worlds:
+    with closing(worlds_of(config, one, render=True)) as worlds, config.world.failures():
         trace = trace_of(config.world, chosen, params, worlds, how, seed, options, controller)
     values = {
         factors[name].symbol: value

@@ -98,7 +98,7 @@ class StudyConfig:
             _check_environment_study(given)
             keep("positions", ())
         if self.repeats is None:
-            keep("repeats", RUNS // max(1, len(TESTED) * (self.environment is None)))
+            keep("repeats", RUNS if self.environment is not None else RUNS // len(TESTED))
         factors = self.world.factors
         for name, prefix in (("axes", "axis."), ("fixed", "")):
             parse.known(given[name], tuple(factors), prefix)
@@ -118,6 +118,10 @@ class StudyConfig:
             raise ValueError(
                 f"the study has {self.n_runs:.3g} runs; at most {MOST_RUNS:,} are possible"
             )
+
+    def values_of(self, factor: str) -> tuple:
+        """Return the values of a factor: those of its axis, or the one that is fixed."""
+        return self.axes[factor] if factor in self.axes else (self.fixed[factor],)
 
     @property
     def n_runs(self) -> int:

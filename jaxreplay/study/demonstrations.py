@@ -68,7 +68,7 @@ def _demonstrated(config: StudyConfig, folder: Path, robot: PlaneParams | None) 
     config.world.check(records, file)
     _check_records(config, records.n_records, file)
     try:
-        for value in config.axes.get("last_steps", (config.fixed.get("last_steps"),)):
+        for value in config.values_of("last_steps"):
             check_end(records, value or None)
         check_sigma(config, records.sensor_names)
     except ValueError as error:
@@ -84,7 +84,7 @@ def _check_records(config: StudyConfig, n: int, where: str) -> None:
     Raises:
         ConfigError: one is not.
     """
-    for value in config.axes.get("records", (config.fixed.get("records"),)):
+    for value in config.values_of("records"):
         try:
             if value is not None:
                 choose_records(value, n, config.seed, 0)
@@ -94,7 +94,7 @@ def _check_records(config: StudyConfig, n: int, where: str) -> None:
 
 def _warn_of_ends(config: StudyConfig, records: Records, file: str) -> None:
     """Warn of records that end in motion, where replays would end before them."""
-    if max(config.axes.get("last_steps", (config.fixed.get("last_steps"),))) > 1:
+    if max(config.values_of("last_steps")) > 1:
         rows = table_of(records)
         for found in ends(rows, columns_of(rows, records.sensor_names, records.command_names)):
             warnings.warn(f"{file}: {found.text} (0: the environment alone ends it)", stacklevel=2)

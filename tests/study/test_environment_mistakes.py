@@ -118,6 +118,9 @@ def test_an_error_of_the_environment_is_one_line(line, capsys):
     *_, last = capsys.readouterr().err.splitlines()
     assert "environment line_world:Line-v0 failed: ZeroDivisionError: " in last
     assert "line_world.py, line " in last
+    assert cli.main(["watch", str(path)]) == 2
+    *_, last = capsys.readouterr().err.splitlines()
+    assert "environment line_world:Line-v0 failed: ZeroDivisionError: " in last
 
 
 def test_watching_needs_the_demonstrations_of_the_study(line, capsys):

@@ -111,7 +111,7 @@ class World(Protocol):
         """Return what is to be seen in the first slot, for :meth:`scene`."""
         ...
 
-    def scene(self, seen: Sequence[Any]) -> "PlaneScene | Pictures | None":
+    def scene(self, seen: Sequence[Any]) -> PlaneScene | Pictures | None:
         """Return what was seen at each step of a run, in a form that can be drawn."""
         ...
 
