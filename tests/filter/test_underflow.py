@@ -67,15 +67,29 @@ def test_far_observations_choose_the_nearest_record(jump, precision, away, side)
     np.testing.assert_allclose(posterior.sum((1, 2)), 1, atol=1e-6)
 
 
-A_MILLION = [
-    pytest.mark.slow,
-    pytest.mark.xfail(reason="27 of 540,000 observations give NaN, and all that follow them"),
-]
+@both_readings
+@both_precisions
+@pytest.mark.parametrize(
+    ("jumps", "away"),
+    [(1e6, 0.0), (0.5, 1.6e5)],
+    ids=["records jump by a million σ", "a step of half a σ, far away"],
+)
+def test_eight_sensors_at_once_do_not_underflow(jump, precision, jumps, away):
+    """The mean along each segment is 10⁻⁵ of its peak or less: 10⁻⁴⁰ for eight, no float32."""
+    rows = [level + jumps * np.tile(np.arange(30)[:, None] % 2, 8) for level in (0.0, 3.0)]
+    commands = [np.full((30, 1), float(i)) for i in range(2)]
+    zs = np.full((4, 8), away)
+    with x64(precision):
+        params = Params(0.1, 0.05, np.ones(8))
+        (posterior, *_), belief = run(build_filter(jump), (rows, commands), zs, params)
+        assert np.isfinite(belief.p.mantissa).all()
+    nearer = 1 if away else 0  # from far above, the higher record
+    assert (posterior.sum(2)[:, nearer] > 0.99).all()
 
 
 @both_readings
 @pytest.mark.parametrize(
-    ("n", "batch", "largest"), [(30, 4, 18), pytest.param(300, 300, 9, marks=A_MILLION)]
+    ("n", "batch", "largest"), [(30, 4, 18), pytest.param(300, 300, 9, marks=pytest.mark.slow)]
 )
 def test_posteriors_sum_to_1_however_far_everything_is(jump, n, batch, largest):
     """Records that reach 10^21 σ, and observations up to 10^4 times beyond them.

@@ -2,7 +2,7 @@
 
 Every mean is returned as a *peak*, the logarithm of the highest density on the segment relative to
 the density at an anchor, and a *factor* in (0, 1] by which the mean is below it. So nothing
-underflows however far the observation is, and no logarithm is computed for a single sensor.
+underflows however far the observation is, and short segments need no logarithm for a single sensor.
 
 With length d and ends at distances x_a, x_b from z, all in σ, and w = |x_b² − x_a²| / 2, the factor
 of a segment on which z does not lie is
@@ -35,7 +35,7 @@ _QUOTIENTS = {
     )
     for dtype, size in ((_FLOAT32, (7, 1e7)), (_FLOAT64, (8, 8.0)))
 }
-_FARTHEST = 1e5  # of w: keeps the quotients' powers and products of eight factors in range
+_FARTHEST = 2e4  # of w: keeps the quotients' powers and products of eight factors in range
 _S3_PER_S2 = 1 / 28  # the term of k = 3 per term of k = 2 and d², at w = 0, where it matters
 _SQRT_2PI = np.sqrt(2 * np.pi)
 
@@ -103,20 +103,26 @@ def long_mean(start: jax.Array, end: jax.Array, sensor: Sensor) -> Mean:
     """Return the means along segments longer than `LONG`; those of shorter ones lose digits.
 
     The tail beyond an end is its density times Mills' ratio. The mean is the whole bell less both
-    tails where z lies on the segment, else one tail less the other, divided by the length.
+    tails where z lies on the segment, else one tail less the other, divided by the length. It is
+    returned in the peak: the factor would be 1 / length, and a product of such underflows.
     """
     low, high = jnp.minimum(start, end), jnp.maximum(start, end)
     nearest = jnp.clip(sensor.z, low, high)
-    peak = log_ratio(nearest, sensor)
-    tail_low, tail_high = (
-        exp_minus(peak - log_ratio(x, sensor)) * mills_ratio(jnp.abs(x - sensor.z) * sensor.inverse)
-        for x in (low, high)
-    )
+    x_nearest = jnp.abs(nearest - sensor.z) * sensor.inverse
+
+    def tail(point: jax.Array) -> jax.Array:
+        # (x² − x_nearest²) / 2 as a product, which cannot be negative however large the squares
+        x = jnp.abs(point - sensor.z) * sensor.inverse
+        drop = jnp.abs(point - nearest) * sensor.inverse * ((x + x_nearest) / 2)
+        return exp_minus(drop) * mills_ratio(x)
+
+    tail_low, tail_high = tail(low), tail(high)
     between = (low < sensor.z) & (sensor.z < high)
     across = _SQRT_2PI - (tail_low + tail_high)
     integral = jnp.where(between, across, jnp.abs(tail_low - tail_high))
     d = length(start, end, sensor)
-    return Mean(peak, integral / jnp.where(d > 0, d, 1.0))
+    mean = jnp.where(d > 0, integral / jnp.where(d > 0, d, 1.0), 1.0)
+    return Mean(log_ratio(nearest, sensor) + jnp.log(mean), jnp.ones_like(mean))
 
 
 def mean_of_two(left: Mean, right: Mean) -> Mean:
