@@ -133,7 +133,8 @@ def claim(folder: Path, manifest: dict[str, Any]) -> dict[str, Any]:
     """Reserve a locked folder for a study; return the manifest stored there.
 
     The manifest is written if there is none; one that is damaged is renamed first. One that was
-    written before a factor or a constant existed is of the same study where this has its default.
+    written before a factor or a constant existed is of the same study where this has its default,
+    and so is one with the same demonstrations read from another path.
 
     Raises:
         ConfigError: it contains another study; the message lists the differences.
@@ -278,8 +279,14 @@ def _path(folder: Path, k: int) -> Path:
 
 
 def _completed(stored: dict[str, Any], wanted: dict[str, Any]) -> dict[str, Any]:
-    """Return a manifest with defaults for the factors and constants that it does not know."""
+    """Return a manifest with defaults for the factors and constants that it does not know.
+
+    The path of the demonstrations is the wanted one: their content has a hash of its own.
+    """
     config, plane = stored["config"], asdict(PlaneParams())
+    path = wanted["config"]["demonstrations"]
+    if _arguments(path) == _arguments(config["demonstrations"]):
+        config = config | {"demonstrations": path}
     new = set(wanted["config"]["fixed"]) - {*config["fixed"], *config["axes"]}
     defaults = {n: PLANE_FACTORS[n].default for n in new if n in PLANE_FACTORS}
     completed = {"config": config | {"fixed": defaults | config["fixed"]}}
@@ -287,6 +294,11 @@ def _completed(stored: dict[str, Any], wanted: dict[str, Any]) -> dict[str, Any]
         constants = {name: plane[name] for name in wanted["plane"]} | stored["plane"]
         completed["plane"] = json.loads(json.dumps(constants))
     return stored | completed
+
+
+def _arguments(file: str | dict[str, Any]) -> dict[str, Any]:
+    """Return how a file of demonstrations is read."""
+    return {n: v for n, v in file.items() if n != "file"} if isinstance(file, dict) else {}
 
 
 def _differences(stored: dict[str, Any], wanted: dict[str, Any]) -> list[str]:

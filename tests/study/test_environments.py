@@ -120,6 +120,20 @@ def test_it_is_resumed_and_other_settings_are_another_study(car, capsys):
     assert "another study, which differs in config.success_return" in capsys.readouterr().err
 
 
+def test_it_is_resumed_from_another_folder_and_with_moved_demonstrations(line, monkeypatch, capsys):
+    out, changes = line.parent / "out", ["--set", "repeats=1"]
+    assert cli.main(["run", str(line), "--out", str(out), *changes]) == 0
+    monkeypatch.chdir(line.parent)
+    assert cli.main(["run", "line.toml", "--out", "out", *changes]) == 0
+    (line.parent / "line.npz").rename("moved.npz")
+    moved = [*changes, "--set", "demonstrations=moved.npz"]
+    assert cli.main(["run", "line.toml", "--out", "out", *moved]) == 0
+    jr.read("moved.npz").subset([0]).save("moved.npz")
+    capsys.readouterr()
+    assert cli.main(["run", "line.toml", "--out", "out", *moved]) == 2
+    assert "another study, which differs in demonstrations;" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("arguments", "outcome"),
     [
