@@ -1,30 +1,57 @@
 """Which of the paper's claims hold? Its numbers beside ours, from studies that were run.
 
-    python experiments/findings.py [--results results] [--large results/large]
+    python experiments/findings.py [--results results] [--large results/large] [--against FOLDER]
 
-Reads the folders that `jaxreplay run experiments/NAME.toml --out FOLDER/NAME` wrote in both; the
-large ones are those of `experiments/large.sh`. Studies that were not run are left out. Rates come
-with Wilson's 95 % intervals; means with 95 % intervals by bootstrap over positions, since runs at
-one position resemble each other.
+Reads the folders that `jaxreplay run experiments/NAME.toml` wrote, and those of
+`experiments/large.sh`. Studies that were not run are left out. Rates of one set of demonstrations
+come with Wilson's 95 % intervals, all else with Student's over the sets (see `sets.py`).
+
+With `--against`, each large rate of success is compared with that of another run of `large.sh`, at
+other seeds or positions, by Welch's t-test over sets.
 """
 
 import argparse
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
-from scipy.stats import bootstrap
+from scipy.stats import ttest_ind
+from sets import (
+    average,
+    by_set,
+    gain,
+    interval,
+    number,
+    open_sets,
+    percent,
+    points,
+    success,
+    won,
+)
 
 import jaxreplay as jr
-from jaxreplay.figures.table import rate, short
+from jaxreplay.figures.table import short
 from jaxreplay.plane.params import PlaneParams
 from jaxreplay.plane.positions import DEMONSTRATED
 from jaxreplay.study.dataset import cells
 from jaxreplay.study.worlds.plane import STALLS
 
 WIDE = (10**-2.05, 10**-0.45)  # the paper's range of good θ_I
-JUMPS = ("same_tau", "own_tau")
+JUMPS = ("own_tau", "same_tau")
+
+
+class Row(NamedTuple):
+    """A line of the result: what it is of, its runs, and what they are compared with."""
+
+    name: str
+    runs: xr.Dataset
+    others: xr.Dataset | None = None  # none: it is what others are compared with
+
+
+Rows = Callable[[xr.Dataset], Iterator[Row]]
+Value = Callable[[Row], str]
 
 
 def main():
@@ -34,224 +61,188 @@ def main():
     parser.add_argument(
         "--large", type=Path, default=Path("results/large"), help="of the large size"
     )
+    parser.add_argument("--against", type=Path, help="another folder of the large size")
     options = parser.parse_args()
-    for claim, paper, study, values in CLAIMS:
-        print(f"\n{claim}\n  {'the paper':58}{paper}")
+    for claim, paper, study, rows, value in CLAIMS:
+        print(f"\n{claim}\n  {'the paper':50}{paper}")
         for size, folder in (
             ("its size", options.results / study),
             ("large", options.large / study),
             ("large, same_tau", options.large / f"{study}_same_tau"),
         ):
-            if not (folder / "study.json").exists():
+            try:
+                runs = opened(folder)
+            except FileNotFoundError:
                 if not folder.name.endswith("_same_tau"):
-                    print(f"  {size:58}not run: {folder}")
+                    print(f"  {size:50}not run: {folder}")
                 continue
-            for name, value in values(jr.open_study(folder)):
-                print(f"  {f'{size}, {name}':58}{value}")
+            again = options.against and opened(options.against / folder.name)
+            others = rows(again) if again is not None else iter([])
+            for row in rows(runs):
+                text = value(row)
+                if (other := next(others, None)) and size != "its size":
+                    text += f"; again {percent(success(other.runs))}, p = {p_value(row, other):.2g}"
+                print(f"  {f'{size}, {row.name}':50}{text}")
 
 
-Values = Callable[[xr.Dataset], list[tuple[str, str]]]
+def opened(folder: Path) -> xr.Dataset:
+    """Return the study in a folder, or those of several sets in its subfolders, by `seed`."""
+    if (folder / "study.json").exists():
+        return jr.open_study(folder).expand_dims("seed")
+    return open_sets(folder)
 
 
-def by_jump(value: Callable[[xr.Dataset], str]) -> Values:
-    """Return a function that evaluates `value` for both readings of a jump."""
-    return lambda study: [(jump, value(study.sel(jump=jump))) for jump in JUMPS]
+def p_value(row: Row, other: Row) -> float:
+    """Return how probable so large a difference of two rates is if sets differ by chance alone."""
+    return float(ttest_ind(by_set(won(row.runs)), by_set(won(other.runs)), equal_var=False).pvalue)
 
 
-def successes(runs: xr.Dataset) -> str:
-    """Return the rate of success in percent, with its interval."""
-    outcome = runs.outcome.values
-    return f"S {rate(np.sum(outcome == 'S'), np.sum(outcome != ''))} %"
+def by_theta_i(low: float = 0.0, high: float = 1.0) -> Rows:
+    """Return a function that yields the runs of each reading with each θ_I in a range."""
+
+    def rows(study: xr.Dataset) -> Iterator[Row]:
+        for jump in JUMPS:
+            runs = study.sel(jump=jump)
+            for k, value in enumerate(runs.theta_i.values):
+                if low <= value <= high:
+                    first = runs.isel(theta_i=0) if k else None
+                    yield Row(f"{jump}, θ_I {value:.2g}", runs.isel(theta_i=k), first)
+
+    return rows
 
 
-def within(low: float, high: float) -> Callable[[xr.Dataset], str]:
-    """Return a function that gives S for θ_I in a range, for all together and for each."""
-
-    def value(runs: xr.Dataset) -> str:
-        some = runs.sel(theta_i=[v for v in runs.theta_i.values if low <= v <= high])
-        each = [(some.sel(theta_i=v).outcome == "S").mean().item() for v in some.theta_i.values]
-        return f"{successes(some)}; by θ_I " + ", ".join(f"{100 * s:.0f}" for s in each)
-
-    return value
+def by_jump(study: xr.Dataset) -> Iterator[Row]:
+    """Yield the runs of each reading."""
+    for jump in JUMPS:
+        yield Row(jump, study.sel(jump=jump))
 
 
-def mean_by_theta_i(variable: str, unit: str) -> Callable[[xr.Dataset], str]:
-    """Return a function that gives a variable's mean over successes, and its range over θ_I."""
+def by(*factors: str, first: str = "") -> Rows:
+    """Return a function that yields each combination of factors' values.
 
-    def value(runs: xr.Dataset) -> str:
-        won = runs[variable].where(runs.outcome == "S")
-        each = won.mean([d for d in won.dims if d != "theta_i"])
-        if not np.isfinite(each).any():
-            return "no success"
-        low, high = float(each.min()), float(each.max())
-        return f"{mean(runs, variable)} {unit}; by θ_I from {low:.1f} to {high:.1f}"
-
-    return value
-
-
-def mean(runs: xr.Dataset, variable: str) -> str:
-    """Return a variable's mean over successful runs, with its interval; "–" without a success.
-
-    Positions are resampled, each with all its runs. A single position gives no interval.
+    Each is compared with the one that has the first value of the factor `first`.
     """
-    won = runs[variable].where(runs.outcome == "S")
-    others = [dim for dim in won.dims if dim != "position"]
-    total, count = won.sum(others).values, won.count(others).values
-    total, count = total[count > 0], count[count > 0]
-    if len(total) == 0:
-        return "–"
 
-    def over_all(total: np.ndarray, count: np.ndarray, axis: int) -> np.ndarray:
-        return total.sum(axis=axis) / count.sum(axis=axis)
+    def rows(study: xr.Dataset) -> Iterator[Row]:
+        names = [name for name in ("theta_i", *factors) if name in study.dims]
+        for values, runs in cells(study, names):
+            others = None
+            if first and values[first] != study[first].values[0]:
+                at = {name: values[name] for name in names if name != first}
+                others = study.sel(at).isel({first: 0})
+            name = ", ".join(f"{study[n].attrs['symbol']} {short(v)}" for n, v in values.items())
+            yield Row(name, runs, others)
 
-    average = f"{over_all(total, count, axis=0):.1f}"
-    if len(total) == 1:
-        return average
-    low, high = bootstrap(
-        (total, count), over_all, paired=True, method="percentile", rng=np.random.default_rng(0)
-    ).confidence_interval
-    return f"{average} ({low:.1f}–{high:.1f})"
+    return rows
 
 
-def stalls(runs: xr.Dataset) -> str:
-    """Return the share of failures that are stalls, fixed or cyclic, and their kinds."""
-    outcome, stall = runs.outcome.values, runs.stall.values
-    failed = np.sum((outcome != "S") & (outcome != ""))
-    fixed, cyclic, slow = (np.sum(stall == kind) for kind in STALLS)
-    if not failed:
-        return "no failure"
-    share = f"{rate(fixed + cyclic, failed)} % of {failed} failures"
-    return f"{share}: fixed {fixed}, cyclic {cyclic}; slow {slow}"
+def around(study: xr.Dataset) -> Iterator[Row]:
+    """Yield the runs in the demonstrated area, and outside it, in and out of the camera's sight."""
+    x, y = study.cube_x, study.cube_y
+    (low_x, low_y), (high_x, high_y) = DEMONSTRATED.min(axis=0), DEMONSTRATED.max(axis=0)
+    inside = (x >= low_x) & (x <= high_x) & (y >= low_y) & (y <= high_y)
+    seen = np.abs(np.arctan2(y, x)) < PlaneParams().field_of_view / 2
+    for jump in JUMPS:
+        for name, where in (
+            ("demonstrated area", inside),
+            ("outside, in sight", ~inside & seen),
+            ("outside, out of sight", ~inside & ~seen),
+        ):
+            runs = study.sel(jump=jump).isel(position=where.values)
+            yield Row(f"{jump}, {name}, {where.sum().item()} positions", runs)
 
 
-def how_well(runs: xr.Dataset) -> str:
-    """Return success, alignment error and duration."""
-    return f"{successes(runs)}, {mean(runs, 'alignment_error')} mm, {mean(runs, 'duration')} s"
-
-
-def by_theta_i(study: xr.Dataset) -> list[tuple[str, xr.Dataset]]:
-    """Return a study's runs by their θ_I, with a label if there is more than one."""
-    if "theta_i" not in study.dims:
-        return [("", study)]
-    return [(f"θ_I {of['theta_i']:.2g}, ", runs) for of, runs in cells(study, ["theta_i"])]
-
-
-def with_records(study: xr.Dataset) -> list[tuple[str, str]]:
-    """Return success, error and duration by the records that are replayed."""
-    return [
-        (f"{at}{of['records']}", how_well(runs))
-        for at, some in by_theta_i(study)
-        for of, runs in cells(some, ["records"])
-    ]
-
-
-def dithered(study: xr.Dataset) -> list[tuple[str, str]]:
-    """Return success and stalls without and with dithering, by motor unit."""
-    return [
-        (
-            f"{100 * of['motor_unit']:g} cm/s, {short(of['dithering'])}",
-            f"{successes(runs)}; {stalls(runs)}",
-        )
-        for of, runs in cells(study, ["motor_unit", "dithering"])
-    ]
-
-
-def charged(study: xr.Dataset) -> list[tuple[str, str]]:
-    """Return success and duration by the battery's charge."""
-    return [
-        (f"{100 * of['battery']:.0f} %", f"{successes(runs)}, {mean(runs, 'duration')} s")
-        for of, runs in cells(study, ["battery"])
-    ]
-
-
-def plateau(study: xr.Dataset) -> list[tuple[str, str]]:
-    """Return success over the whole map and over its flat part, and of the worst cell in each."""
-    found = []
+def plateau(study: xr.Dataset) -> Iterator[Row]:
+    """Yield all cells of the map, and its flat part."""
     for name, theta_i, theta_tau, low, high in (
         ("all cells", 1, 1, 0, 1),
         ("θ_I ≤ 10^-1.5, θ_τ ≤ 0.05, σ 0.02–0.22", 10**-1.4, 0.05, 0.02, 0.22),
         ("θ_I ≤ 10^-1.5, θ_τ ≤ 0.05, σ 0.02–0.1", 10**-1.4, 0.05, 0.02, 0.11),
     ):
         flat = study.sel(theta_i=study.theta_i <= theta_i, theta_tau=study.theta_tau <= theta_tau)
-        flat = flat.sel(sigma=(flat.sigma >= low) & (flat.sigma <= high))
-        worst = (flat.outcome == "S").mean(["position", "repeat"]).min().item()
-        found.append((name, f"{successes(flat)}, no cell below {100 * worst:.0f} %"))
-    return found
+        yield Row(name, flat.sel(sigma=(flat.sigma >= low) & (flat.sigma <= high)))
 
 
-def noisy(study: xr.Dataset) -> list[tuple[str, str]]:
-    """Return success by σ, for each noise of the sensors."""
-    return [
-        (
-            f"{of['sensor_noise']:g} × the noise",
-            ", ".join(f"σ {at['sigma']:.2g}: {successes(c)}" for at, c in cells(runs, ["sigma"])),
-        )
-        for of, runs in cells(study, ["sensor_noise"])
-    ]
+def rates(row: Row) -> str:
+    """Return the rate of success, and its difference to that of the others."""
+    text = f"S {percent(success(row.runs))} %"
+    if row.others is not None:
+        text += f", difference {points(gain(row.runs, row.others))}"
+    return text
 
 
-def lit(study: xr.Dataset) -> list[tuple[str, str]]:
-    """Return success, error and duration without and with a sensor of the room's light."""
-    return [
-        (f"{at}light {short(of['light'])}", how_well(runs))
-        for at, some in by_theta_i(study)
-        for of, runs in cells(some, ["light"])
-    ]
+def how_well(row: Row) -> str:
+    """Return success, alignment error and duration."""
+    error, duration = average(row.runs, "alignment_error"), average(row.runs, "duration")
+    return f"{rates(row)}, {number(error)} mm, {number(duration, 0)} s"
 
 
-def around(study: xr.Dataset) -> list[tuple[str, str]]:
-    """Return success in the demonstrated area, and outside it, in and out of the camera's sight."""
-    x, y = study.cube_x, study.cube_y
-    (low_x, low_y), (high_x, high_y) = DEMONSTRATED.min(axis=0), DEMONSTRATED.max(axis=0)
-    inside = (x >= low_x) & (x <= high_x) & (y >= low_y) & (y <= high_y)
-    seen = np.abs(np.arctan2(y, x)) < PlaneParams().field_of_view / 2
-    return [
-        (
-            f"{jump}, {name}, {where.sum().item()} positions",
-            successes(study.sel(jump=jump).isel(position=where.values)),
-        )
-        for jump in JUMPS
-        for name, where in (
-            ("demonstrated area", inside),
-            ("outside, in sight", ~inside & seen),
-            ("outside, out of sight", ~inside & ~seen),
-        )
-    ]
+def stalls(row: Row) -> str:
+    """Return the share of failures that are stalls, fixed or cyclic, and the kinds of failures."""
+    outcome, stall = row.runs.outcome, row.runs.stall
+    failed = ((outcome != "S") & (outcome != "")).sum(
+        [dim for dim in outcome.dims if dim != "seed"]
+    )
+    stuck = stall.isin(STALLS[:2]).sum([dim for dim in stall.dims if dim != "seed"])
+    kinds = [f"{kind} {int((stall == kind).sum())}" for kind in STALLS]
+    kinds += [f"{way} {int((outcome == way).sum())}" for way in ("Fb", "Fg")]
+    share = interval((stuck / failed.where(failed > 0)).values)
+    return f"{percent(share)} % of {int(failed.sum())} failures are stalls: {', '.join(kinds)}"
 
 
-CLAIMS: tuple[tuple[str, str, str, Values], ...] = (
+def success_and_stalls(row: Row) -> str:
+    """Return the rate of success, and the share of failures that are stalls."""
+    return f"{rates(row)}; {stalls(row)}"
+
+
+CLAIMS: tuple[tuple[str, str, str, Rows, Value], ...] = (
     (
         "S is about 90 % for θ_I in [10^-2, 10^-0.5]",
         "about 90 %",
         "theta_i",
-        by_jump(within(*WIDE)),
+        by_theta_i(*WIDE),
+        rates,
     ),
-    ("S drops for smaller θ_I", "it drops", "theta_i", by_jump(within(0, WIDE[0]))),
+    ("S drops for smaller θ_I", "it drops", "theta_i", by_theta_i(0, WIDE[0]), success_and_stalls),
     (
-        "the alignment error is small and flat",
-        "about 2 mm",
+        "the alignment error is small and flat, the duration relatively constant",
+        "about 2 mm, about 100 s",
         "theta_i",
-        by_jump(mean_by_theta_i("alignment_error", "mm")),
+        by_theta_i(),
+        how_well,
     ),
-    (
-        "the duration is relatively constant",
-        "about 100 s",
-        "theta_i",
-        by_jump(mean_by_theta_i("duration", "s")),
-    ),
-    ("most failures are stalls", "60 %", "theta_i", by_jump(stalls)),
+    ("most failures are stalls", "60 %", "theta_i", by_jump, stalls),
     (
         "with 6 records it degrades gracefully (θ_I = 10^-0.5)",
         "11 of 15, 2.1 mm, 99.5 s",
         "interpolation",
-        with_records,
+        by("records"),
+        how_well,
     ),
-    ("dithering alleviates the stalls", "a guess", "dithering", dithered),
-    ("a full battery is best", "observed", "battery", charged),
-    ("one wide range of parameters does", "7 values of θ_I", "grid", plateau),
-    ("σ is semantics, not noise", "stated", "noise", noisy),
-    ("a sensor without relevance to the task disturbs", "feared", "light", lit),
-    ("it cannot extrapolate", "stated", "outside", around),
+    (
+        "dithering alleviates the stalls",
+        "a guess",
+        "dithering",
+        by("motor_unit", "dithering", first="dithering"),
+        success_and_stalls,
+    ),
+    (
+        "a full battery is best",
+        "observed",
+        "battery",
+        by("battery", first="battery"),
+        how_well,
+    ),
+    ("one wide range of parameters does", "7 values of θ_I", "grid", plateau, rates),
+    ("σ is semantics, not noise", "stated", "noise", by("sensor_noise", "sigma"), rates),
+    (
+        "a sensor without relevance to the task disturbs",
+        "feared",
+        "light",
+        by("light", first="light"),
+        how_well,
+    ),
+    ("it cannot extrapolate", "stated", "outside", around, rates),
 )
 
 if __name__ == "__main__":

@@ -3,6 +3,7 @@
 import shutil
 import subprocess
 import sys
+from collections import Counter
 from pathlib import Path
 
 import matplotlib.image
@@ -12,13 +13,13 @@ import xarray as xr
 from scipy.stats import spearmanr
 
 from jaxreplay import Params, Records
+from jaxreplay.figures.table import rate
 from jaxreplay.filter.options import Options
 from jaxreplay.loop import tracker
 from jaxreplay.plane.params import PlaneParams
 from jaxreplay.plane.positions import DEMONSTRATED
 from jaxreplay.study.config import load_config
 from jaxreplay.study.demonstrations import record
-from jaxreplay.study.runs import runs_of
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "experiments"))
 
@@ -29,6 +30,7 @@ import findings
 import loop
 import pieces
 import plain_filter
+import sets
 import stalls
 import starts
 import tuning
@@ -105,18 +107,45 @@ def test_a_piece_follows_one_record_for_a_second_at_least():
     assert len(pieces.pieces_of(np.arange(9))) == 0
 
 
-def test_findings_are_of_the_runs_they_name():
-    dims = ("theta_i", "position")
-    outcome = np.array([["S", "Fs"], ["S", "S"], ["Fg", "S"]])
-    error = np.array([[1.0, 9.0], [2.0, 4.0], [9.0, 5.0]])
-    runs = xr.Dataset(
-        {"outcome": (dims, outcome), "alignment_error": (dims, error)},
-        {"theta_i": [0.1, 0.01, 0.001]},
+def sets_of(outcome, **more):
+    """Runs of three sets of demonstrations, `[3, θ_I, position]`."""
+    dims = ("seed", "theta_i", "position")
+    runs = xr.Dataset({"outcome": (dims, np.array(outcome))}, {"theta_i": [0.1, 0.01]})
+    runs.theta_i.attrs["symbol"] = "θ_I"
+    return runs.assign({name: (dims, np.array(values)) for name, values in more.items()})
+
+
+S, F = "S", "Fg"
+
+
+def test_intervals_are_over_sets_of_demonstrations():
+    runs = sets_of([[[S, F], [S, S]], [[F, F], [S, F]], [[S, F], [S, S]]])
+    first, second = runs.isel(theta_i=0), runs.isel(theta_i=1)
+    half = 4.303 * np.std([0.5, 0.0, 0.5], ddof=1) / np.sqrt(3)  # Student's t, two degrees
+    assert sets.success(first) == pytest.approx((1 / 3, 1 / 3 - half, 1 / 3 + half), abs=1e-3)
+    assert sets.percent(sets.success(first)) == "33 (0–100)"
+    assert sets.points(sets.gain(second, first)) == "+50 (+50, +50)"
+    assert sets.percent(sets.success(second.isel(seed=[0, 2]))) == "100 (51–100)"  # Wilson's
+    errors = np.where(runs.outcome == S, [[[3.0], [5.0]], [[9.0], [4.0]], [[5.0], [9.0]]], 99.0)
+    runs = runs.assign(error=(runs.outcome.dims, errors))
+    assert sets.number(sets.average(runs.isel(theta_i=0), "error")) == "4.0 (-8.7–16.7)"
+    assert sets.number(sets.average(runs.isel(theta_i=0, seed=[1]), "error")) == "–"
+
+
+def test_findings_compare_runs_of_the_same_set():
+    outcome = [[[S, F], [S, S]], [[F, F], [S, F]], [[S, F], [S, S]]]
+    runs = sets_of(outcome, stall=np.full((3, 2, 2), "", "<U6"))
+    rows = list(findings.by(first="theta_i")(runs))
+    assert [row.name for row in rows] == ["θ_I 0.1", "θ_I 0.01"]
+    assert findings.rates(rows[0]) == "S 33 (0–100) %"
+    assert findings.rates(rows[1]) == "S 83 (12–100) %, difference +50 (+50, +50)"
+    assert findings.p_value(rows[0], rows[0]) == 1
+    runs.stall.values[1, 0] = "fixed", "cyclic"
+    whole = findings.Row("all", runs)
+    share = sets.percent(sets.interval(np.array([0, 2 / 3, 0])))
+    assert findings.stalls(whole) == (
+        f"{share} % of 5 failures are stalls: fixed 1, cyclic 1, slow 0, Fb 0, Fg 5"
     )
-    assert findings.within(0.005, 1)(runs) == "S 75 (30–95) %; by θ_I 50, 100"
-    assert findings.mean(runs, "alignment_error").startswith("3.0 (")
-    text = findings.mean_by_theta_i("alignment_error", "mm")(runs)
-    assert text.endswith("mm; by θ_I from 1.0 to 5.0")
 
 
 def test_demonstrations_in_step_do_the_same_at_the_same_moment():
@@ -152,7 +181,7 @@ def test_causes_are_run_once_for_what_is_asked(tmp_path, monkeypatch, capsys):
         expected += [("demonstrations", jump, v, 20) for jump in causes.JUMPS for v in new]
         assert done == expected
         rows = capsys.readouterr().out.splitlines()
-        assert f"{'plain float32 filter':26}" + 4 * f"{findings.rate(2, 3):>18}" in rows
+        assert f"{'plain float32 filter':26}" + 4 * f"{rate(2, 3):>18}" in rows
     assert matplotlib.image.imread(tmp_path / "causes.png").std() > 0
     monkeypatch.setattr(sys, "argv", [*asked, "--theta-i", "3"])
     with pytest.raises(SystemExit, match="2"):
@@ -220,26 +249,24 @@ def test_the_large_sizes_are_listed_in_one_file(tmp_path):
     (tmp_path / "experiments").mkdir()
     script = shutil.copy(folder / "large.sh", tmp_path / "experiments")
     printed = subprocess.run(["sh", script, "--workers", "2"], capture_output=True, text=True)
-    runs = {}
+    runs = Counter()
     for line in printed.stdout.splitlines():
         run, file, _, out, *others = line.split()
         assert run == "run"
         assert others[-2:] == ["--workers", "2"]
         config = load_config(folder / Path(file).name, others[1:-2:2])
         reading = "_same_tau" if config.fixed.get("jump") == "same_tau" else ""
-        assert out == f"results/large/{Path(file).stem}{reading}"
-        runs[Path(out).name] = len(runs_of(config))
+        assert out == f"results/large/{Path(file).stem}{reading}/{config.seed}"
+        runs[Path(out).parent.name] += config.n_runs
     assert runs == LARGE
 
 
 LARGE = {
-    "theta_i": 2 * 10 * 300, "rivals": 4 * 7 * 300, "interpolation": 2 * 8 * 300,
-    "dithering": 2 * 2 * 3 * 150,
-    "battery": 2 * 3 * 150, "light": 2 * 2 * 150, "grid": 7 * 7 * 7 * 30, "sigma": 7 * 7 * 30,
-    "noise": 4 * 7 * 30, "outside": 2 * 10 * 13 * 3,
-    "interpolation_same_tau": 8 * 300, "dithering_same_tau": 2 * 3 * 300,
-    "battery_same_tau": 3 * 300, "light_same_tau": 2 * 300, "sigma_same_tau": 7 * 7 * 30,
-    "noise_same_tau": 4 * 7 * 30, "grid_same_tau": 4 * 3 * 7 * 30,
+    "theta_i": 2 * 10 * 300, "rivals": 4 * 7 * 300, "interpolation": 2 * 5 * 300,
+    "dithering": 2 * 3 * 300, "battery": 3 * 300, "light": 2 * 300, "sigma": 7 * 7 * 60,
+    "noise": 4 * 7 * 60, "outside": 2 * 130 * 10, "grid": 7 * 7 * 7 * 30,
+    "interpolation_same_tau": 5 * 300, "dithering_same_tau": 2 * 3 * 300,
+    "battery_same_tau": 3 * 300, "light_same_tau": 2 * 300, "grid_same_tau": 4 * 3 * 7 * 60,
 }  # fmt: skip
 
 
@@ -252,13 +279,14 @@ def test_findings_distinguish_where_a_cube_stood():
             "cube_x": ("position", cubes[:, 0]), "cube_y": ("position", cubes[:, 1]),
         },
     )  # fmt: skip
-    assert findings.around(runs) == [
-        ("same_tau, demonstrated area, 1 positions", f"S {findings.rate(1, 1)} %"),
-        ("same_tau, outside, in sight, 2 positions", f"S {findings.rate(0, 2)} %"),
-        ("same_tau, outside, out of sight, 1 positions", f"S {findings.rate(1, 1)} %"),
-        ("own_tau, demonstrated area, 1 positions", f"S {findings.rate(1, 1)} %"),
-        ("own_tau, outside, in sight, 2 positions", f"S {findings.rate(1, 2)} %"),
-        ("own_tau, outside, out of sight, 1 positions", f"S {findings.rate(0, 1)} %"),
+    rows = [(row.name, sorted(row.runs.outcome.values)) for row in findings.around(runs)]
+    assert rows == [
+        ("own_tau, demonstrated area, 1 positions", ["S"]),
+        ("own_tau, outside, in sight, 2 positions", ["Fg", "S"]),
+        ("own_tau, outside, out of sight, 1 positions", ["Fb"]),
+        ("same_tau, demonstrated area, 1 positions", ["S"]),
+        ("same_tau, outside, in sight, 2 positions", ["Fg", "Fs"]),
+        ("same_tau, outside, out of sight, 1 positions", ["S"]),
     ]
 
 
@@ -278,14 +306,6 @@ def test_bootstrap_intervals():
     assert tuning.correlation(-score, success)[0] == pytest.approx(-rho)
     assert np.isnan(tuning.correlation(score, np.ones(300))).all()
     assert np.isfinite(tuning.correlation(score[:4], np.array([0, 0, 1, 1]))).all()
-    runs = xr.Dataset(
-        {"outcome": (("position", "repeat"), np.full((40, 3), "S"))},
-        {"position": np.arange(40)},
-    )
-    runs["duration"] = runs.outcome.dims, 90 + rng.normal(size=(40, 1)) + np.zeros((40, 3))
-    low, high = map(float, findings.mean(runs, "duration").split("(")[1][:-1].split("–"))
-    # Runs at one position are alike: 120 runs are worth 40.
-    assert high - low == pytest.approx(2 * 1.96 / np.sqrt(40), abs=0.15)
 
 
 def test_a_point_retraces_a_path_and_is_pushed_once():
