@@ -30,6 +30,7 @@ import findings
 import loop
 import pieces
 import plain_filter
+import sensors
 import sets
 import stalls
 import starts
@@ -148,6 +149,18 @@ def test_findings_compare_runs_of_the_same_set():
     )
 
 
+def test_a_sensor_that_tells_two_records_apart_gives_one_bit_once():
+    rows = [np.tile([level, 0.0], (50, 1)) for level in (0.0, 9.0)]
+    records = Records.from_sequences(rows, [np.zeros((50, 1))] * 2)
+    seen = np.tile([9.0, 0.0], (20, 1))
+    bits = sensors.information(records, Params(0.0, 0.05, np.ones(2)), "own_tau", seen)
+    assert bits.shape == (20, 3)  # the last: both sensors together
+    np.testing.assert_allclose(bits[0], [1, 0, 1], atol=1e-4)
+    np.testing.assert_allclose(bits[1:], 0, atol=1e-4)
+    parts = sensors.in_parts(np.arange(60.0)[:, None])
+    np.testing.assert_allclose(parts[0], np.arange(1.0, 60, 3))
+
+
 def test_demonstrations_in_step_do_the_same_at_the_same_moment():
     records = record(PlaneParams(), DEMONSTRATED[[0, 9, 17]], seed=3)
     before, after = records.sequences()[1], causes.in_step(records).sequences()[1]
@@ -264,7 +277,7 @@ def test_the_large_sizes_are_listed_in_one_file(tmp_path):
 LARGE = {
     "theta_i": 2 * 10 * 300, "rivals": 4 * 7 * 300, "interpolation": 2 * 5 * 300,
     "dithering": 2 * 3 * 300, "battery": 3 * 300, "light": 2 * 300, "sigma": 7 * 7 * 60,
-    "noise": 4 * 7 * 60, "outside": 2 * 130 * 10, "grid": 7 * 7 * 7 * 30,
+    "noise": 4 * 7 * 60, "outside": 2 * 130 * 10, "sensors": 9 * 300, "grid": 7 * 7 * 7 * 30,
     "interpolation_same_tau": 5 * 300, "dithering_same_tau": 2 * 3 * 300,
     "battery_same_tau": 3 * 300, "light_same_tau": 2 * 300, "grid_same_tau": 4 * 3 * 7 * 60,
 }  # fmt: skip

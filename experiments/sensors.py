@@ -1,0 +1,159 @@
+"""What does each sensor tell, and when? The information that it gives, over a run.
+
+    python experiments/sensors.py [--seeds 10] [--set KEY=VALUE]… [--out results/sensors]
+
+The paper's future work asks which sensors matter when. Here a sensor's information at a step is
+what its value alone changes in the filter's belief about the record and the moment,
+
+    D( p(I_t, τ_t | Z_1:t−1, z_k,t) ‖ p(I_t, τ_t | Z_1:t−1) )  in bits,
+
+by equations 6 and 9 with all other sensors missing. Runs of `theta_i.toml` are done again with
+several sets of demonstrations, one for each seed; a run is divided into twenty parts of equal
+duration. Intervals are over sets (see `sets.py`). Whether a replay can do without a sensor is
+another question: `sensors.toml` asks it.
+"""
+
+import argparse
+from functools import partial
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import matplotlib.pyplot as plt
+import numpy as np
+from sets import interval, number
+
+from jaxreplay.filter import build_filter
+from jaxreplay.machine import keep_compiled
+from jaxreplay.params import Params
+from jaxreplay.plane.params import SENSOR_NAMES, PlaneParams
+from jaxreplay.records import Records
+from jaxreplay.study.config import load_config
+from jaxreplay.study.demonstrations import demonstrations
+from jaxreplay.study.runs import records_of, runs_of, settings_of, shards_of
+from jaxreplay.study.shard import replays_of
+
+STUDY = Path(__file__).with_name("theta_i.toml")
+DEFAULTS = (
+    "jump=own_tau",
+    "axis.theta_i=[0.1]",
+    "repeats=1",
+    "positions.x.linspace=[0.26,0.39,2]",
+    "positions.y.linspace=[-0.09,0.09,3]",
+)
+PARTS = 20
+ALL = "all together"
+
+
+def main():
+    """Run, print the table and draw the figure."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--seeds", type=int, default=10, help="how many sets of demonstrations")
+    parser.add_argument(
+        "--set", action="append", default=[], metavar="KEY=VALUE", help="as of `jaxreplay run`"
+    )
+    parser.add_argument("--out", type=Path, default=Path("results/sensors"))
+    options = parser.parse_args()
+    keep_compiled()
+    options.out.mkdir(parents=True, exist_ok=True)
+    each = []
+    for seed in range(1, options.seeds + 1):
+        each.append(of_set([*DEFAULTS, *options.set, f"seed={seed}"], options.out))
+        print(f"{seed} of {options.seeds} sets", flush=True)
+    bits = np.array(each)
+    print(table(bits))
+    for suffix in ("png", "pdf"):
+        figure(bits, options.out / f"information.{suffix}")
+    print(f"{options.out}: information.png and information.pdf")
+
+
+def of_set(changes: list[str], out: Path) -> np.ndarray:
+    """Return the mean bits a second over the runs with one set, `[n_s + 1, PARTS]`; all last."""
+    config = load_config(STUDY, changes)
+    robots, runs = demonstrations(config, out), runs_of(config)
+    found = []
+    for which in shards_of(config, runs, 56):
+        ours = runs.of(which)
+        replays = replays_of(config, robots, ours, range(len(ours)))
+        params, *_ = settings_of(config, robots, ours)
+        theirs = records_of(config, robots, ours)
+        for k in range(len(ours)):
+            its = jax.tree.map(lambda x, k=k: x[k], params)
+            seen = np.array(replays.observations[k])
+            bits = information(theirs, its, config.fixed["jump"], seen)
+            found.append(in_parts(bits) / config.world.step)
+    return np.mean(found, axis=0)
+
+
+def information(records: Records, params: Params, jump: str, seen: np.ndarray) -> np.ndarray:
+    """Return the bits that each sensor gives at each step, and all together, `[T, n_s + 1]`."""
+    longest = PlaneParams().max_steps  # one shape, so that one program serves all runs
+    filled = np.full((longest, seen.shape[1]), np.nan)
+    filled[: len(seen)] = records.centre(seen)
+    return np.asarray(_information(records, params, jnp.asarray(filled), jump))[: len(seen)]
+
+
+@partial(jax.jit, static_argnames="jump")
+def _information(records, params, z, jump):
+    filter, n = build_filter(jump), records.n_sensors
+    shown = jnp.concatenate([jnp.eye(n, dtype=bool), jnp.ones((1, n), bool)])
+
+    def step(belief, z):
+        belief = filter.predict(records, params, belief)
+        before = filter.posterior(records, belief)
+
+        def told(shown):
+            after, _ = filter.update(records, params, belief, jnp.where(shown, z, jnp.nan))
+            after = filter.posterior(records, after)
+            ratio = jnp.where((after > 0) & (before > 0), after / before, 1)
+            return jnp.sum(after * jnp.log2(ratio))
+
+        return filter.update(records, params, belief, z)[0], jax.lax.map(told, shown)
+
+    return jax.lax.scan(step, filter.init(records), z)[1]
+
+
+def in_parts(values: np.ndarray) -> np.ndarray:
+    """Return the means `[n, PARTS]` of values `[T, n]` over parts of equal duration."""
+    return np.array([part.mean(axis=0) for part in np.array_split(values, PARTS)]).T
+
+
+def table(bits: np.ndarray) -> str:
+    """Return the bits of each sensor, over the run and its quarters, with intervals over sets."""
+    quarters = bits.reshape(*bits.shape[:2], 4, -1).mean(axis=-1)
+    heads = ["whole run", "1st quarter", "2nd", "3rd", "4th"]
+    lines = [f"{'bits/s of':14}" + "".join(f"{head:>20}" for head in heads)]
+    for k, name in enumerate([*SENSOR_NAMES, ALL]):
+        columns = [quarters[:, k].mean(axis=1), *quarters[:, k].T]
+        lines.append(f"{name:14}" + "".join(f"{number(interval(x), 2):>20}" for x in columns))
+    return "\n".join(lines)
+
+
+def figure(bits: np.ndarray, path: Path) -> None:
+    """Draw the bits of each sensor over the run; proximeters from the left to the right."""
+    middle = (np.arange(PARTS) + 0.5) / PARTS
+    with plt.rc_context({"font.size": 8, "axes.spines.top": False, "axes.spines.right": False}):
+        drawn, (left, right) = plt.subplots(
+            1, 2, figsize=(7.5, 2.8), layout="constrained", width_ratios=[1, 1.1]
+        )
+        mean, low, high = np.array([interval(x) for x in bits[:, 0].T]).T
+        left.fill_between(middle, low, high, color="0.8", lw=0, label="95 % over sets")
+        left.plot(middle, mean, "k", label="camera")
+        mean, low, high = np.array([interval(x) for x in bits[:, 1:-1].sum(axis=1).T]).T
+        left.fill_between(middle, low, high, color="0.8", lw=0)
+        left.plot(middle, mean, "k--", label="proximeters, sum of six")
+        left.set(
+            xlabel="share of the run", ylabel="information, bit/s", xlim=(0, 1), ylim=(0, None)
+        )
+        left.legend(frameon=False)
+        image = right.imshow(
+            bits[:, 1:-1].mean(axis=0), aspect="auto", cmap="gray_r", extent=(0, 1, 5.5, -0.5)
+        )
+        right.set(xlabel="share of the run", ylabel="proximeter, from the left")
+        drawn.colorbar(image, label="information, bit/s")
+        drawn.savefig(path, dpi=150)
+        plt.close(drawn)
+
+
+if __name__ == "__main__":
+    main()
