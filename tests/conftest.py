@@ -22,6 +22,11 @@ if "PYTEST_XDIST_WORKER" not in os.environ:
 keep_compiled()
 
 
+def pytest_collection_modifyitems(items):
+    """Start with the notebook: a long test at the end would leave the other process idle."""
+    items.sort(key=lambda item: "test_notebooks" not in item.nodeid)
+
+
 @pytest.fixture(scope="module")
 def fewer_windows():
     """To compile less."""

@@ -10,7 +10,8 @@ leading `STRIDE` columns, so no window has moved and nothing is lost.
 """
 
 import dataclasses
-from functools import partial
+from collections.abc import Callable
+from functools import cache, partial
 
 import jax
 import jax.numpy as jnp
@@ -115,12 +116,19 @@ def _window(p: Scaled, start: jax.Array, width: int) -> Scaled:
 
 def _cut(array: jax.Array, start: jax.Array, width: int) -> jax.Array:
     """Return `width` columns of `[…, N, columns]`, from one start or from one for each of the N."""
-    # In a stage of its own XLA copies whole rows; fused into a larger loop, single numbers.
-    cut = partial(jax.lax.dynamic_slice_in_dim, slice_size=width, axis=-1)
+    one, each = _cuts(width)
     if start.ndim == 0:
-        return stage(cut)(array, start)
+        return one(array, start)
     # One slice for each row, rows being the leading axis: for any other axis XLA would first copy
     # the whole array.
     rows = array.reshape(-1, array.shape[-1])
     starts = jnp.broadcast_to(start, array.shape[:-1]).ravel()
-    return stage(jax.vmap(cut))(rows, starts).reshape(*array.shape[:-1], width)
+    return each(rows, starts).reshape(*array.shape[:-1], width)
+
+
+@cache
+def _cuts(width: int) -> tuple[Callable, Callable]:
+    """Return functions that cut `width` columns, from one start and from one for each row."""
+    # In a stage of its own XLA copies whole rows; fused into a larger loop, single numbers.
+    cut = partial(jax.lax.dynamic_slice_in_dim, slice_size=width, axis=-1)
+    return stage(cut), stage(jax.vmap(cut))

@@ -179,8 +179,9 @@ def load_config(
         warnings.warn(f"{params} takes the place of {', '.join(replaced)}", stacklevel=2)
     for name, value in tuned.items():
         put(value, given, [name])
+    without_effect = {"sigma", *(f"sigma_{group}" for group in Plane.groups.values())}
     for change in changes if tuned else ():
-        if change.partition("=")[0].strip() in ("sigma", "sigma_proximeters"):
+        if change.partition("=")[0].strip() in without_effect:
             raise ConfigError(
                 f"--set {change} has no effect beside {params}, which gives each sensor its own σ: "
                 "set those, such as sigma_NAME"

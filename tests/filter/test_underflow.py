@@ -5,7 +5,15 @@ from functools import partial
 import jax
 import numpy as np
 import pytest
-from filter_helpers import both_precisions, both_readings, noise, run, run_reference, x64
+from filter_helpers import (
+    both_precisions,
+    both_readings,
+    noise,
+    own_tau_first,
+    run,
+    run_reference,
+    x64,
+)
 from random_helpers import N_SENSORS, random_sequences
 
 from jaxreplay import Params, Records, build_filter
@@ -68,26 +76,24 @@ def test_far_observations_choose_the_nearest_record(jump, precision, away, side)
 
 
 @both_readings
-@both_precisions
 @pytest.mark.parametrize(
     ("jumps", "away"),
     [(1e6, 0.0), (0.5, 1.6e5)],
     ids=["records jump by a million σ", "a step of half a σ, far away"],
 )
-def test_eight_sensors_at_once_do_not_underflow(jump, precision, jumps, away):
+def test_eight_sensors_at_once_do_not_underflow(jump, jumps, away):
     """The mean along each segment is 10⁻⁵ of its peak or less: 10⁻⁴⁰ for eight, no float32."""
     rows = [level + jumps * np.tile(np.arange(30)[:, None] % 2, 8) for level in (0.0, 3.0)]
     commands = [np.full((30, 1), float(i)) for i in range(2)]
     zs = np.full((4, 8), away)
-    with x64(precision):
-        params = Params(0.1, 0.05, np.ones(8))
-        (posterior, *_), belief = run(build_filter(jump), (rows, commands), zs, params)
-        assert np.isfinite(belief.p.mantissa).all()
+    params = Params(0.1, 0.05, np.ones(8))
+    (posterior, *_), belief = run(build_filter(jump), (rows, commands), zs, params)
+    assert np.isfinite(belief.p.mantissa).all()
     nearer = 1 if away else 0  # from far above, the higher record
     assert (posterior.sum(2)[:, nearer] > 0.99).all()
 
 
-@both_readings
+@own_tau_first
 @pytest.mark.parametrize(
     ("n", "batch", "largest"), [(30, 4, 18), pytest.param(300, 300, 9, marks=pytest.mark.slow)]
 )

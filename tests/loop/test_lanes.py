@@ -3,7 +3,7 @@
 import jax
 import numpy as np
 import pytest
-from filter_helpers import both_readings, passing
+from filter_helpers import own_tau_first, passing
 from random_helpers import random_sequences
 
 from jaxreplay import Params, Records
@@ -32,7 +32,7 @@ def run(jump, over_lanes, monkeypatch):
     return [np.array(values) for values in zip(*seen, strict=True)], tracker.window
 
 
-@both_readings
+@own_tau_first
 def test_one_after_the_other_and_at_once_agree(jump, monkeypatch):
     each, windows = run(jump, lanes._each, monkeypatch)
     together, others = run(jump, lanes._together, monkeypatch)

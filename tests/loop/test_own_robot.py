@@ -7,7 +7,7 @@ import gymnasium
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from filter_helpers import both_readings
+from filter_helpers import own_tau_first
 from gymnasium.vector import AutoresetMode, VectorEnv
 
 from jaxreplay import Params, Records, Replayer, build_filter, log_evidence, reference, replay
@@ -127,7 +127,7 @@ def test_one_set_of_parameters_serves_all_replays_and_controllers_have_names():
     assert (taped.ending == "completed").all()
 
 
-@both_readings
+@own_tau_first
 def test_a_start_anywhere_is_the_reference(jump):
     rng = np.random.default_rng(0)
     sensors = [rng.normal(size=(n, 2)).cumsum(axis=0) for n in (230, 300)]

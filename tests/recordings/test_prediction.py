@@ -74,6 +74,7 @@ def test_commands_beside_the_observation_that_they_answer_are_found():
     assert "see Records.from_steps" in text
 
 
+@pytest.mark.slow
 def test_the_planes_are_predicted():
     records = record(PlaneParams(), DEMONSTRATED[:4], 1)
     inspection = inspect(records, scores=True)

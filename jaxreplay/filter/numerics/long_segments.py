@@ -11,6 +11,7 @@ from jaxreplay.filter.numerics.stage import stage
 from jaxreplay.records import CHUNK, Records
 
 _CERTAIN = 0.99  # of the limit: what rounding may have put on its other side counts as long
+_staged_long_mean = stage(long_mean)
 _LISTED = 9  # times that a segment from the list takes, compared with one among all segments
 
 
@@ -52,7 +53,7 @@ def _put(records: Records, block: Block, c: jax.Array, flat: Mean) -> Mean:
     record, place = (_cut(x, block.first, c, group) for x in long[1:3])
     start, end = (_cut(x, block.first, c, group) for x in long.ends)
     sensors = Sensor(*(x[:, None] for x in block.sensors))
-    exact = stage(long_mean)(start, end, sensors)
+    exact = _staged_long_mean(start, end, sensors)
     column = place - long.start[record]
     at = record * columns + column - block.start
     stored = (column >= 0) & (column < columns - 1) & (at >= 0) & (at < n_segments)
@@ -70,10 +71,11 @@ def _exact_everywhere(block: Block, k: jax.Array, means: Mean) -> Mean:
     # Tied to the loop's counter, or XLA would compute this before the loop, entered or not.
     z, _ = jax.lax.optimization_barrier((block.sensors.z, k))
     sensors = Sensor(*(x[:, None] for x in block.sensors._replace(z=z)))
-    exact, is_long = stage(_exact)(block.nodes, sensors)
+    exact, is_long = _exact(block.nodes, sensors)
     return Mean(*(jnp.where(is_long, x, y) for x, y in zip(exact, means, strict=True)))
 
 
+@stage
 def _exact(nodes: jax.Array, sensors: Sensor) -> tuple[Mean, jax.Array]:
     start, end = nodes[:, :-1], nodes[:, 1:]
     return long_mean(start, end, sensors), _is_long(length(start, end, sensors))

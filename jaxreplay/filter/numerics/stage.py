@@ -15,6 +15,8 @@ def stage(function: Function) -> Function:
 
     Otherwise XLA on CPU fuses a filter step into few loops and computes a value again at each of
     its uses, several times the work. Within a stage it may fuse as it likes.
+
+    To be made once for a function: outside `jax.jit`, every stage is compiled anew.
     """
 
     @jax.jit
