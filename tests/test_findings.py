@@ -13,12 +13,13 @@ import xarray as xr
 from jaxreplay import Params, Records
 from jaxreplay.study.config import load_config
 
-FOLDER = Path(__file__).parents[1] / "experiments"
-sys.path.insert(0, str(FOLDER))
+sys.path.insert(0, str(Path(__file__).parents[1] / "experiments"))
 
 import findings
 import sensors
 import sets
+
+FOLDER = Path(sets.__file__).parent
 
 
 def sets_of(outcome, **more):
