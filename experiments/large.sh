@@ -30,6 +30,7 @@ study dithering --set "axis.theta_i=[0.1]" --set "axis.motor_unit=[0.005,0.01,0.
 study battery --set "axis.theta_i=[0.1]" --set "axis.battery=[0.2,0.6,1.0]"
 study interpolation --set "axis.theta_i=[0.316227766017,0.1]" --set "axis.records=[2,4,6,10,20]"
 study light --set "axis.theta_i=[0.1]"
+study jumps
 study sensors
 study rivals
 study outside --set "positions.x.linspace=[0.2,0.65,10]" --set "positions.y.linspace=[-0.3,0.3,13]"

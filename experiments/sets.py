@@ -1,17 +1,34 @@
 """A study that was run with several sets of demonstrations, and intervals over these sets.
 
+    python experiments/sets.py results/large/theta_i --out theta_i_sets.png
+
+draws success against θ_I, for each set and the mean over sets. The functions serve other scripts.
+
 Runs that replay the same demonstrations resemble each other, so an interval of runs alone is too
 narrow for a statement about demonstrations in general. Here the unit is the set.
 """
 
+import argparse
 from pathlib import Path
 
+import matplotlib.pyplot as plt
 import numpy as np
 import xarray as xr
 from scipy.stats import t
 
 import jaxreplay as jr
+from jaxreplay.figures.outcomes import tick_text
 from jaxreplay.figures.table import paired, wilson
+
+
+def main():
+    """Draw the figure."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("folder", type=Path, help="of large.sh, with a study for each seed")
+    parser.add_argument("--out", type=Path, default=Path("results/theta_i_sets.png"))
+    options = parser.parse_args()
+    figure(open_sets(options.folder), options.out)
+    print(options.out)
 
 
 def open_sets(folder: Path) -> xr.Dataset:
@@ -96,3 +113,37 @@ def number(value: tuple[float, float, float], digits: int = 1) -> str:
     if np.isnan(value).all():
         return "–"
     return middle if np.isnan(value[1]) else f"{middle} ({low}–{high})"
+
+
+def figure(study: xr.Dataset, path: Path) -> None:
+    """Draw success against θ_I, a panel for each reading of a jump."""
+    values = study.theta_i.values
+    jumps = study.jump.values if "jump" in study.dims else [""]
+    with plt.rc_context({"font.size": 8, "axes.spines.top": False, "axes.spines.right": False}):
+        drawn, panels = plt.subplots(
+            1, len(jumps), figsize=(4 * len(jumps), 2.6), sharey=True, layout="constrained",
+            squeeze=False,
+        )  # fmt: skip
+        for axes, jump in zip(panels[0], jumps, strict=True):
+            runs = study.sel(jump=jump) if jump else study
+            cells = [runs.isel(theta_i=k) for k in range(len(values))]
+            mean, low, high = 100 * np.clip([success(cell) for cell in cells], 0, 1).T
+            sets = 100 * np.array([by_set(won(cell)) for cell in cells])
+            axes.plot(sets, color="0.75", lw=0.7)
+            axes.errorbar(
+                range(len(values)), mean, [mean - low, high - mean], fmt="o-", color="black",
+                capsize=2, markersize=3,
+            )  # fmt: skip
+            axes.plot([], [], color="0.75", lw=0.7, label="each set of demonstrations")
+            axes.plot([], [], "o-", color="black", markersize=3, label="mean, 95 % over sets")
+            ticks = [tick_text("theta_i", v) for v in values]
+            axes.set_xticks(range(len(values)), ticks, fontsize=7)
+            axes.set(xlabel="θ_I", title=jump, ylim=(-3, 103))
+        panels[0, 0].set_ylabel("success, %")
+        panels[0, -1].legend(frameon=False, loc="lower right")
+        drawn.savefig(path, dpi=150)
+        plt.close(drawn)
+
+
+if __name__ == "__main__":
+    main()

@@ -98,7 +98,8 @@ def test_the_large_sizes_are_listed_in_one_file(tmp_path):
 LARGE = {
     "theta_i": 2 * 10 * 300, "rivals": 4 * 7 * 300, "interpolation": 2 * 5 * 300,
     "dithering": 2 * 3 * 300, "battery": 3 * 300, "light": 2 * 300, "sigma": 7 * 7 * 60,
-    "noise": 4 * 7 * 60, "outside": 2 * 130 * 10, "sensors": 9 * 300, "grid": 7 * 7 * 7 * 30,
+    "noise": 4 * 7 * 60, "outside": 2 * 130 * 10, "sensors": 9 * 300,
+    "jumps": 4 * 300, "grid": 7 * 7 * 7 * 30,
     "interpolation_same_tau": 5 * 300, "dithering_same_tau": 2 * 3 * 300,
     "battery_same_tau": 3 * 300, "light_same_tau": 2 * 300, "grid_same_tau": 4 * 3 * 7 * 60,
 }  # fmt: skip
