@@ -5,10 +5,11 @@
 # `jaxreplay run`.
 #
 #     sh experiments/large.sh --workers 2
+#     SEEDS="1 2 3" sh experiments/large.sh  # fewer sets, or others
 
 set -e
 cd "$(dirname "$0")/.."
-options="$*" reading= seeds="1 2 3 4 5 6 7 8 9 10"
+options="$*" reading= seeds="${SEEDS:-1 2 3 4 5 6 7 8 9 10}"
 
 at() { # positions ahead and aside, a study, and what differs from its file
     ahead=$1 aside=$2 name=$3
@@ -45,5 +46,5 @@ study battery --set "axis.theta_i=[0.001]" --set "axis.battery=[0.2,0.6,1.0]"
 study interpolation --set "axis.theta_i=[0.001]" --set "axis.records=[2,4,6,10,20]"
 study light --set "axis.theta_i=[0.001]"
 
-reading= options="$*" seeds="1 2 3 4 5"
+reading= options="$*" seeds="${SEEDS:-1 2 3 4 5}"
 at 2 3 grid

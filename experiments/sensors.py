@@ -42,7 +42,7 @@ DEFAULTS = (
     "positions.y.linspace=[-0.09,0.09,3]",
 )
 PARTS = 20
-ALL = "all together"
+TOGETHER = ("proximeters", "all")  # besides each sensor alone
 
 
 def main():
@@ -68,7 +68,7 @@ def main():
 
 
 def of_set(changes: list[str], out: Path) -> np.ndarray:
-    """Return the mean bits a second over the runs with one set, `[n_s + 1, PARTS]`; all last."""
+    """Return the mean bits a second over the runs with one set, `[n_s + 2, PARTS]`."""
     config = load_config(STUDY, changes)
     robots, runs = demonstrations(config, out), runs_of(config)
     found = []
@@ -86,7 +86,10 @@ def of_set(changes: list[str], out: Path) -> np.ndarray:
 
 
 def information(records: Records, params: Params, jump: str, seen: np.ndarray) -> np.ndarray:
-    """Return the bits that each sensor gives at each step, and all together, `[T, n_s + 1]`."""
+    """Return the bits that each sensor gives at each step, `[T, n_s + 2]`.
+
+    The last two are of all sensors but the first, and of all.
+    """
     longest = PlaneParams().max_steps  # one shape, so that one program serves all runs
     filled = np.full((longest, seen.shape[1]), np.nan)
     filled[: len(seen)] = records.centre(seen)
@@ -96,7 +99,8 @@ def information(records: Records, params: Params, jump: str, seen: np.ndarray) -
 @partial(jax.jit, static_argnames="jump")
 def _information(records, params, z, jump):
     filter, n = build_filter(jump), records.n_sensors
-    shown = jnp.concatenate([jnp.eye(n, dtype=bool), jnp.ones((1, n), bool)])
+    together = jnp.ones((2, n), bool).at[0, 0].set(False)
+    shown = jnp.concatenate([jnp.eye(n, dtype=bool), together])
 
     def step(belief, z):
         belief = filter.predict(records, params, belief)
@@ -123,7 +127,7 @@ def table(bits: np.ndarray) -> str:
     quarters = bits.reshape(*bits.shape[:2], 4, -1).mean(axis=-1)
     heads = ["whole run", "1st quarter", "2nd", "3rd", "4th"]
     lines = [f"{'bits/s of':14}" + "".join(f"{head:>20}" for head in heads)]
-    for k, name in enumerate([*SENSOR_NAMES, ALL]):
+    for k, name in enumerate([*SENSOR_NAMES, *TOGETHER]):
         columns = [quarters[:, k].mean(axis=1), *quarters[:, k].T]
         lines.append(f"{name:14}" + "".join(f"{number(interval(x), 2):>20}" for x in columns))
     return "\n".join(lines)
@@ -136,18 +140,15 @@ def figure(bits: np.ndarray, path: Path) -> None:
         drawn, (left, right) = plt.subplots(
             1, 2, figsize=(7.5, 2.8), layout="constrained", width_ratios=[1, 1.1]
         )
-        mean, low, high = np.array([interval(x) for x in bits[:, 0].T]).T
-        left.fill_between(middle, low, high, color="0.8", lw=0, label="95 % over sets")
-        left.plot(middle, mean, "k", label="camera")
-        mean, low, high = np.array([interval(x) for x in bits[:, 1:-1].sum(axis=1).T]).T
-        left.fill_between(middle, low, high, color="0.8", lw=0)
-        left.plot(middle, mean, "k--", label="proximeters, sum of six")
-        left.set(
-            xlabel="share of the run", ylabel="information, bit/s", xlim=(0, 1), ylim=(0, None)
-        )
-        left.legend(frameon=False)
+        for k, style, name in ((0, "-", "camera"), (-2, "--", "the six proximeters together")):
+            mean, low, high = np.array([interval(x) for x in bits[:, k].T]).T
+            left.fill_between(middle, np.maximum(low, 0), high, color="0.8", lw=0)
+            left.plot(middle, mean, style, color="black", label=name)
+        left.set(xlabel="share of the run", ylabel="information, bit/s", xlim=(0, 1))
+        left.set_ylim(bottom=0)
+        left.legend(frameon=False, loc="lower left", bbox_to_anchor=(0, 1), ncols=2)
         image = right.imshow(
-            bits[:, 1:-1].mean(axis=0), aspect="auto", cmap="gray_r", extent=(0, 1, 5.5, -0.5)
+            bits[:, 1:-2].mean(axis=0), aspect="auto", cmap="gray_r", extent=(0, 1, 5.5, -0.5)
         )
         right.set(xlabel="share of the run", ylabel="proximeter, from the left")
         drawn.colorbar(image, label="information, bit/s")

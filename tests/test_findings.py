@@ -68,8 +68,8 @@ def test_a_sensor_that_tells_two_records_apart_gives_one_bit_once():
     records = Records.from_sequences(rows, [np.zeros((50, 1))] * 2)
     seen = np.tile([9.0, 0.0], (20, 1))
     bits = sensors.information(records, Params(0.0, 0.05, np.ones(2)), "own_tau", seen)
-    assert bits.shape == (20, 3)  # the last: both sensors together
-    np.testing.assert_allclose(bits[0], [1, 0, 1], atol=1e-4)
+    assert bits.shape == (20, 4)  # the last: all but the first, and all
+    np.testing.assert_allclose(bits[0], [1, 0, 0, 1], atol=1e-4)
     np.testing.assert_allclose(bits[1:], 0, atol=1e-4)
     parts = sensors.in_parts(np.arange(60.0)[:, None])
     np.testing.assert_allclose(parts[0], np.arange(1.0, 60, 3))
