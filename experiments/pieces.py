@@ -71,10 +71,17 @@ def main():
 
 def followed(records: Records, params: Params, jump: str, seen: np.ndarray) -> np.ndarray:
     """Return the most probable record after each observation, `[T]`."""
-    longest = PlaneParams().max_steps  # one shape, so that one program serves all runs
-    filled = np.full((longest, seen.shape[1]), np.nan)
+    return np.asarray(_followed(records, params, padded(records, seen), jump))[: len(seen)]
+
+
+def padded(records: Records, seen: np.ndarray) -> jax.Array:
+    """Return a run's observations, centred, and NaN after it.
+
+    They have one shape, so that one program serves all runs.
+    """
+    filled = np.full((PlaneParams().max_steps, seen.shape[1]), np.nan)
     filled[: len(seen)] = records.centre(seen)
-    return np.asarray(_followed(records, params, jnp.asarray(filled), jump))[: len(seen)]
+    return jnp.asarray(filled)
 
 
 @partial(jax.jit, static_argnames="jump")

@@ -21,12 +21,13 @@ import jax
 import jax.numpy as jnp
 import matplotlib.pyplot as plt
 import numpy as np
+from pieces import padded
 from sets import interval, number
 
 from jaxreplay.filter import build_filter
 from jaxreplay.machine import keep_compiled
 from jaxreplay.params import Params
-from jaxreplay.plane.params import SENSOR_NAMES, PlaneParams
+from jaxreplay.plane.params import SENSOR_NAMES
 from jaxreplay.records import Records
 from jaxreplay.study.config import load_config
 from jaxreplay.study.demonstrations import demonstrations
@@ -90,10 +91,7 @@ def information(records: Records, params: Params, jump: str, seen: np.ndarray) -
 
     The last two are of all sensors but the first, and of all.
     """
-    longest = PlaneParams().max_steps  # one shape, so that one program serves all runs
-    filled = np.full((longest, seen.shape[1]), np.nan)
-    filled[: len(seen)] = records.centre(seen)
-    return np.asarray(_information(records, params, jnp.asarray(filled), jump))[: len(seen)]
+    return np.asarray(_information(records, params, padded(records, seen), jump))[: len(seen)]
 
 
 @partial(jax.jit, static_argnames="jump")
