@@ -76,11 +76,12 @@ def main():
                 if not folder.name.endswith("_same_tau"):
                     print(f"  {size:50}not run: {folder}")
                 continue
-            again = options.against and opened(options.against / folder.name)
-            others = rows(again) if again is not None else iter([])
+            again = options.against and options.against / folder.name
+            compared = again and size != "its size" and again.is_dir()
+            others = rows(opened(again)) if compared else iter([])
             for row in rows(runs):
                 text = value(row)
-                if (other := next(others, None)) and size != "its size":
+                if other := next(others, None):
                     text += f"; again {percent(success(other.runs))}, p = {p_value(row, other):.2g}"
                 print(f"  {f'{size}, {row.name}':50}{text}")
 
@@ -180,13 +181,11 @@ def how_well(row: Row) -> str:
 def stalls(row: Row) -> str:
     """Return the share of failures that are stalls, fixed or cyclic, and the kinds of failures."""
     outcome, stall = row.runs.outcome, row.runs.stall
-    failed = ((outcome != "S") & (outcome != "")).sum(
-        [dim for dim in outcome.dims if dim != "seed"]
-    )
-    stuck = stall.isin(STALLS[:2]).sum([dim for dim in stall.dims if dim != "seed"])
+    failed = (outcome != "S") & (outcome != "")
+    each = by_set(failed)
+    share = interval(by_set(stall.isin(STALLS[:2])) / np.where(each > 0, each, np.nan))
     kinds = [f"{kind} {int((stall == kind).sum())}" for kind in STALLS]
     kinds += [f"{way} {int((outcome == way).sum())}" for way in ("Fb", "Fg")]
-    share = interval((stuck / failed.where(failed > 0)).values)
     return f"{percent(share)} % of {int(failed.sum())} failures are stalls: {', '.join(kinds)}"
 
 

@@ -13,8 +13,10 @@ over runs.
 """
 
 import argparse
+from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -28,7 +30,7 @@ from jaxreplay.machine import keep_compiled
 from jaxreplay.params import Params
 from jaxreplay.plane.params import SENSOR_NAMES, SENSOR_RANGES, PlaneParams
 from jaxreplay.records import Records
-from jaxreplay.study.config import load_config
+from jaxreplay.study.config import SLOTS, StudyConfig, load_config
 from jaxreplay.study.demonstrations import demonstrations
 from jaxreplay.study.runs import records_of, runs_of, settings_of, shards_of
 from jaxreplay.study.shard import replays_of
@@ -49,24 +51,50 @@ def main():
     keep_compiled()
     options.out.mkdir(parents=True, exist_ok=True)
     config = load_config(STUDY, ["jump=own_tau", *options.set])
-    robots, runs = demonstrations(config, options.out), runs_of(config)
+    runs = runs_of(config)
     won, pieces = np.zeros(len(runs), bool), [np.zeros((0, 3))] * len(runs)
-    for which in shards_of(config, runs, 56):
-        ours = runs.of(which)
-        replays = replays_of(config, robots, ours, range(len(ours)))
-        params, *_ = settings_of(config, robots, ours)
-        theirs = records_of(config, robots, ours)
-        won[which] = config.world.outcome(replays) == "S"
-        for k, run in enumerate(which):
-            its = jax.tree.map(lambda x, k=k: x[k], params)
-            seen = np.array(replays.observations[k])
-            pieces[run] = pieces_of(followed(theirs, its, config.fixed["jump"], seen))
-        print(f"{which[-1] + 1} of {len(runs)} runs", flush=True)
+    for k, run in enumerate(done_again(config, options.out), 1):
+        won[run.index] = run.outcome == "S"
+        record = followed(run.records, run.params, config.fixed["jump"], run.observations)
+        pieces[run.index] = pieces_of(record)
+        if k % SLOTS == 0 or k == len(runs):
+            print(f"{k} of {len(runs)} runs", flush=True)
     theta_i = runs.values["theta_i"]
     print(table(theta_i, won, pieces))
     for suffix in ("png", "pdf"):
-        figure(theta_i, won, pieces, theirs, options.out / f"pieces.{suffix}")
+        figure(theta_i, won, pieces, run.records, options.out / f"pieces.{suffix}")
     print(f"{options.out}: pieces.png and pieces.pdf")
+
+
+class Done(NamedTuple):
+    """A run that was done again.
+
+    Attributes:
+        index: in the study.
+        outcome: as in the study.
+        records: those that it replayed.
+        params: its parameters.
+        observations: `[T, n_s]`.
+    """
+
+    index: int
+    outcome: str
+    records: Records
+    params: Params
+    observations: np.ndarray
+
+
+def done_again(config: StudyConfig, folder: Path) -> Iterator[Done]:
+    """Do all runs of a study again; its demonstrations are stored in `folder`."""
+    robots, runs = demonstrations(config, folder), runs_of(config)
+    for which in shards_of(config, runs, SLOTS):
+        ours = runs.of(which)
+        replays = replays_of(config, robots, ours, range(len(ours)))
+        params, *_ = settings_of(config, robots, ours)
+        records, outcome = records_of(config, robots, ours), config.world.outcome(replays)
+        for k, run in enumerate(which.tolist()):
+            its = jax.tree.map(lambda x, k=k: x[k], params)
+            yield Done(run, outcome[k], records, its, np.array(replays.observations[k]))
 
 
 def followed(records: Records, params: Params, jump: str, seen: np.ndarray) -> np.ndarray:

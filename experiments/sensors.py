@@ -21,7 +21,7 @@ import jax
 import jax.numpy as jnp
 import matplotlib.pyplot as plt
 import numpy as np
-from pieces import padded
+from pieces import done_again, padded
 from sets import interval, number
 
 from jaxreplay.filter import build_filter
@@ -30,9 +30,6 @@ from jaxreplay.params import Params
 from jaxreplay.plane.params import SENSOR_NAMES
 from jaxreplay.records import Records
 from jaxreplay.study.config import load_config
-from jaxreplay.study.demonstrations import demonstrations
-from jaxreplay.study.runs import records_of, runs_of, settings_of, shards_of
-from jaxreplay.study.shard import replays_of
 
 STUDY = Path(__file__).with_name("theta_i.toml")
 DEFAULTS = (
@@ -71,19 +68,11 @@ def main():
 def of_set(changes: list[str], out: Path) -> np.ndarray:
     """Return the mean bits a second over the runs with one set, `[n_s + 2, PARTS]`."""
     config = load_config(STUDY, changes)
-    robots, runs = demonstrations(config, out), runs_of(config)
-    found = []
-    for which in shards_of(config, runs, 56):
-        ours = runs.of(which)
-        replays = replays_of(config, robots, ours, range(len(ours)))
-        params, *_ = settings_of(config, robots, ours)
-        theirs = records_of(config, robots, ours)
-        for k in range(len(ours)):
-            its = jax.tree.map(lambda x, k=k: x[k], params)
-            seen = np.array(replays.observations[k])
-            bits = information(theirs, its, config.fixed["jump"], seen)
-            found.append(in_parts(bits) / config.world.step)
-    return np.mean(found, axis=0)
+    found = [
+        in_parts(information(run.records, run.params, config.fixed["jump"], run.observations))
+        for run in done_again(config, out)
+    ]
+    return np.mean(found, axis=0) / config.world.step
 
 
 def information(records: Records, params: Params, jump: str, seen: np.ndarray) -> np.ndarray:

@@ -118,14 +118,14 @@ def number(value: tuple[float, float, float], digits: int = 1) -> str:
 def figure(study: xr.Dataset, path: Path) -> None:
     """Draw success against θ_I, a panel for each reading of a jump."""
     values = study.theta_i.values
-    jumps = study.jump.values if "jump" in study.dims else [""]
+    jumps = study.jump.values
     with plt.rc_context({"font.size": 8, "axes.spines.top": False, "axes.spines.right": False}):
         drawn, panels = plt.subplots(
             1, len(jumps), figsize=(4 * len(jumps), 2.6), sharey=True, layout="constrained",
             squeeze=False,
         )  # fmt: skip
         for axes, jump in zip(panels[0], jumps, strict=True):
-            runs = study.sel(jump=jump) if jump else study
+            runs = study.sel(jump=jump)
             cells = [runs.isel(theta_i=k) for k in range(len(values))]
             mean, low, high = 100 * np.clip([success(cell) for cell in cells], 0, 1).T
             sets = 100 * np.array([by_set(won(cell)) for cell in cells])

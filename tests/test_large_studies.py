@@ -6,6 +6,7 @@ import sys
 from collections import Counter
 from pathlib import Path
 
+import matplotlib.image
 import numpy as np
 import pytest
 import xarray as xr
@@ -45,6 +46,13 @@ def test_intervals_are_over_sets_of_demonstrations():
     runs = runs.assign(error=(runs.outcome.dims, errors))
     assert sets.number(sets.average(runs.isel(theta_i=0), "error")) == "4.0 (-8.7–16.7)"
     assert sets.number(sets.average(runs.isel(theta_i=0, seed=[1]), "error")) == "–"
+
+
+def test_success_is_drawn_for_each_set_and_reading(tmp_path):
+    runs = sets_of([[[S, F], [S, S]], [[F, F], [S, F]], [[S, F], [S, S]]])
+    study = xr.concat([runs, runs], xr.Variable("jump", ["same_tau", "own_tau"]))
+    sets.figure(study, tmp_path / "sets.png")
+    assert matplotlib.image.imread(tmp_path / "sets.png").std() > 0
 
 
 def test_findings_compare_runs_of_the_same_set():

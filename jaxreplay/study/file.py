@@ -39,6 +39,12 @@ def relative(given: Any, folder: Path) -> Any:
     return given  # wrong, which `read_file` says
 
 
+def arguments_of(file: File | str) -> dict[str, Any]:
+    """Return the arguments of `jaxreplay.read` that are given besides the path."""
+    given = file if isinstance(file, Mapping) else {}
+    return {name: value for name, value in given.items() if name != "file"}
+
+
 def name_of(file: File) -> str:
     """Return the name of a file, for messages."""
     given = file["file"] if isinstance(file, Mapping) else file
@@ -69,7 +75,7 @@ def records_in(file: File) -> Records:
     if isinstance(file, Path):
         return read(file)
     try:
-        return read(file["file"], **{name: v for name, v in file.items() if name != "file"})
+        return read(file["file"], **arguments_of(file))
     except TypeError as error:
         raise ConfigError(f"demonstrations: {error}") from None
 

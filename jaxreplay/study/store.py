@@ -25,6 +25,7 @@ from jaxreplay.plane.options import SETTINGS
 from jaxreplay.plane.params import PlaneParams
 from jaxreplay.study import parse
 from jaxreplay.study.config import StudyConfig
+from jaxreplay.study.file import arguments_of
 from jaxreplay.study.runs import Demonstrations
 from jaxreplay.study.worlds.plane import PLANE_FACTORS
 
@@ -285,7 +286,7 @@ def _completed(stored: dict[str, Any], wanted: dict[str, Any]) -> dict[str, Any]
     """
     config, plane = stored["config"], asdict(PlaneParams())
     path = wanted["config"]["demonstrations"]
-    if _arguments(path) == _arguments(config["demonstrations"]):
+    if arguments_of(path) == arguments_of(config["demonstrations"]):
         config = config | {"demonstrations": path}
     new = set(wanted["config"]["fixed"]) - {*config["fixed"], *config["axes"]}
     defaults = {n: PLANE_FACTORS[n].default for n in new if n in PLANE_FACTORS}
@@ -294,11 +295,6 @@ def _completed(stored: dict[str, Any], wanted: dict[str, Any]) -> dict[str, Any]
         constants = {name: plane[name] for name in wanted["plane"]} | stored["plane"]
         completed["plane"] = json.loads(json.dumps(constants))
     return stored | completed
-
-
-def _arguments(file: str | dict[str, Any]) -> dict[str, Any]:
-    """Return how a file of demonstrations is read."""
-    return {n: v for n, v in file.items() if n != "file"} if isinstance(file, dict) else {}
 
 
 def _differences(stored: dict[str, Any], wanted: dict[str, Any]) -> list[str]:
