@@ -1,7 +1,8 @@
 """The filter as one would write it at first: float32 probabilities, and nothing against underflow.
 
 The functions are those of `jaxreplay/reference.py`, by the same names, in JAX and without
-logarithms. `causes.py` replays with them, to see what underflow does to the paper's claims.
+logarithms. `causes.py` replays with them, as the controller `"plain_filter:Plain"`, to see what
+underflow does to the paper's claims.
 """
 
 from functools import partial, reduce
@@ -16,6 +17,7 @@ from jax.scipy.stats import norm
 from jaxreplay import Params, Records
 from jaxreplay.filter.options import Options
 from jaxreplay.filter.steps import LAST_STEPS
+from jaxreplay.loop.controller import FilterController
 
 
 def segment_mean(nodes: jax.Array, z: jax.Array, sigma: jax.Array) -> jax.Array:
@@ -161,6 +163,14 @@ class PlainTracker:
         self.belief, command = _predicted(self.records, self.params, belief, self.jump)
         self.command[which] = np.asarray(command)[which]
         return np.asarray(log_evidence), np.asarray(ended), np.full(len(which), np.nan)
+
+
+class Plain(FilterController):
+    """Controls replays with this filter."""
+
+    def __init__(self, records: Records, params: Params, options: Options):
+        """Begin B replays."""
+        super().__init__(records, params, options, tracker=PlainTracker)
 
 
 @partial(jax.jit, static_argnames="jump")

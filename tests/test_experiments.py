@@ -6,14 +6,16 @@ from pathlib import Path
 import matplotlib.image
 import numpy as np
 import pytest
+import xarray as xr
 from scipy.stats import spearmanr
 
 from jaxreplay import Params, Records
-from jaxreplay.figures.table import rate
 from jaxreplay.filter.options import Options
 from jaxreplay.loop import tracker
+from jaxreplay.loop.rivals import controller_named
 from jaxreplay.plane.params import PlaneParams
 from jaxreplay.plane.positions import DEMONSTRATED
+from jaxreplay.study.config import load_config
 from jaxreplay.study.demonstrations import record
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "experiments"))
@@ -21,6 +23,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "experiments"))
 import causes
 import circle
 import elsewhere
+import in_step
 import loop
 import pieces
 import plain_filter
@@ -102,7 +105,7 @@ def test_a_piece_follows_one_record_for_a_second_at_least():
 
 def test_demonstrations_in_step_do_the_same_at_the_same_moment():
     records = record(PlaneParams(), DEMONSTRATED[[0, 9, 17]], seed=3)
-    before, after = records.sequences()[1], causes.in_step(records).sequences()[1]
+    before, after = records.sequences()[1], in_step.in_step(records).sequences()[1]
     assert {len(sent) for sent in after} == {sorted(map(len, before))[1]}
 
     def changes(sent):  # when the gripper is first commanded to scan, to grasp, to hold and to lift
@@ -116,29 +119,30 @@ def test_demonstrations_in_step_do_the_same_at_the_same_moment():
         np.testing.assert_allclose(was[:, :2].sum(0), sent[:, :2].sum(0), rtol=0.01, atol=0.02)
 
 
-def test_causes_are_run_once_for_what_is_asked(tmp_path, monkeypatch, capsys):
-    done = []
+def test_each_cause_is_a_study_that_can_be_run():
+    for name, changes in causes.CHANGES.items():
+        config = load_config(causes.STUDY, [*causes.SIZE, *changes])
+        assert config.n_runs == 2 * 3 * 6, name
+        assert callable(controller_named(config.fixed["controller"]))
 
-    def run(variant, records, jump, theta_i, positions):
-        done.append((records, jump, theta_i, len(positions)))
-        return ["S", "S", "Fs"]
 
-    monkeypatch.setattr(causes, "run", run)
-    monkeypatch.setattr(causes, "record", lambda *made_as: "demonstrations")
-    asked = ["causes.py", "--only", "plain float32 filter", "--ahead", "2", "--out", str(tmp_path)]
-    expected = []
-    for theta_i, new in (("0.1 0.01", (0.1, 0.01)), ("0.01 1e-25", (1e-25,))):
-        monkeypatch.setattr(sys, "argv", [*asked, "--theta-i", *theta_i.split()])
-        causes.main()
-        expected += [("demonstrations", jump, v, 20) for jump in causes.JUMPS for v in new]
-        assert done == expected
-        rows = capsys.readouterr().out.splitlines()
-        assert f"{'plain float32 filter':26}" + 4 * f"{rate(2, 3):>18}" in rows
+def test_causes_are_compared_within_sets(tmp_path):
+    jump, theta_i = ["same_tau", "own_tau"], [0.3, 0.01, 1e-25]
+
+    def made_up(share):
+        outcome = np.where(np.arange(10) < 10 * share, "S", "Fs")
+        shape = (2, 2, 3, 10)
+        return xr.Dataset(
+            {"outcome": (("seed", "jump", "theta_i", "position"), np.broadcast_to(outcome, shape))},
+            {"seed": [1, 2], "jump": jump, "theta_i": theta_i},
+        )
+
+    runs = {causes.FIRST: made_up(0.5), "no track bias": made_up(0.8)}
+    rows = causes.table(runs).splitlines()
+    assert len(rows) == 6 * 4
+    assert " ".join(rows[3].split()) == "no track bias 80 (58–92) +30 (+30, +30) 4 0 0"
+    causes.figure(runs, tmp_path / "causes.png")
     assert matplotlib.image.imread(tmp_path / "causes.png").std() > 0
-    monkeypatch.setattr(sys, "argv", [*asked, "--theta-i", "3"])
-    with pytest.raises(SystemExit, match="2"):
-        causes.main()
-    assert "--theta-i must be at most 6 values within 0 and 1" in capsys.readouterr().err
 
 
 GRIPPER = (3, 1), (3, -1), (4, 1), (2, 1)  # column of the commands, and up or down

@@ -20,6 +20,7 @@ class Settings(NamedTuple):
         placing: `[B]` largest error in x and in y of where the robot is put down, m.
         heading: `[B]` largest error of its heading, rad.
         cube_turn: `[B]` largest angle by which the cube is turned, rad.
+        push: `[B]` largest distance by which each track is pushed on the way, m.
     """
 
     motor_unit: np.ndarray
@@ -30,6 +31,7 @@ class Settings(NamedTuple):
     placing: np.ndarray
     heading: np.ndarray
     cube_turn: np.ndarray
+    push: np.ndarray
 
 
 def track_speeds(

@@ -21,7 +21,7 @@ from jaxreplay.plane.options import SETTINGS, parse_options, seeds_of
 from jaxreplay.plane.params import PlaneParams
 from jaxreplay.plane.sensors import Pose, camera, proximeters
 from jaxreplay.plane.stall import STALL_SECONDS, stall
-from jaxreplay.plane.start import start_of
+from jaxreplay.plane.start import push_speeds, start_of
 from jaxreplay.plane.world import World
 
 METADATA = {"render_modes": ["rgb_array"], "render_fps": 10}
@@ -54,10 +54,9 @@ class PlaneVectorEnv(gymnasium.vector.VectorEnv):
     `[B]`: the time limit (3 minutes) is over. A world that has ended rests until it is reset:
     it stands still and is not simulated. The caller can make worlds rest by setting `resting`.
     **Info**, `[B]` each: `is_success`, whether the cube is held and lifted; `was_lifted`, whether
-    it has been at any time; `alignment_error`,
-    the lateral distance (m) from the magnet's centre to the centre of the face that it last
-    grasped, NaN before the first grasp; `stall`, "fixed", "cyclic" or "slow" where the run is
-    truncated, else empty.
+    it has been at any time; `alignment_error`, the lateral distance (m) from the magnet's centre
+    to that of the face that it last grasped, NaN before the first grasp; `stall`, "fixed",
+    "cyclic" or "slow" where the run is truncated, else empty.
 
     **Reset** restarts all worlds, or those marked in `options["reset_mask"]` (`[B]` bool). A
     restarted world behaves as if it were new and the only one: all randomness in it comes from
@@ -101,10 +100,10 @@ class PlaneVectorEnv(gymnasium.vector.VectorEnv):
         self._servos = elevation_servo(p), tilt_servo(p)
         self._worlds: dict[int, World] = {}  # by slot; empty slots rest
         self.pose = Pose(np.zeros((n, 3)), np.zeros((n, 3)), np.full(n, p.high), np.zeros(n))
-        self._set_points, self._gain = np.zeros((n, 2)), np.ones((n, 2))
+        self._set_points = np.zeros((n, 2))
+        self._gain, self._push = np.ones((n, 2)), np.zeros((n, 3))
         self.held, self._grasped_at = np.zeros(n, bool), np.zeros((n, 2))  # lateral, elevation; m
-        self.alignment_error = np.full(n, np.nan)
-        self.resting = np.ones(n, bool)
+        self.alignment_error, self.resting = np.full(n, np.nan), np.ones(n, bool)
         self._was_lifted = np.zeros(n, bool)
         self._gripper_above, self._off_floor = np.zeros((2, n), bool)
         self._camera = np.zeros(n)
@@ -161,7 +160,7 @@ class PlaneVectorEnv(gymnasium.vector.VectorEnv):
             current[b] = new[b]
         start = start_of(self._settings, b, seed, cube)
         self._worlds[b] = World(p, start.cube, start.robot)
-        self._gain[b], self.pose.robot[b], self.pose.cube[b] = start
+        self._gain[b], self.pose.robot[b], self.pose.cube[b], self._push[b] = start
         self.pose.elevation[b], self.pose.tilt[b] = p.high, 0.0
         self._set_points[b] = p.high, 0.0
         self.held[b] = self._gripper_above[b] = self._off_floor[b] = self.resting[b] = False
@@ -195,6 +194,7 @@ class PlaneVectorEnv(gymnasium.vector.VectorEnv):
         speeds = track_speeds(
             p, self._settings, self._gain, actions[:, :2], noise[:, 2:4], noise[:, :2]
         )
+        speeds += push_speeds(self._push, self._step * p.control_period)
         forward = speeds.mean(axis=1)
         turn = (speeds[:, 1] - speeds[:, 0]) / p.track_separation
         for b, world in self._worlds_in(going):

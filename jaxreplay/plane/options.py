@@ -18,6 +18,7 @@ SETTINGS: dict[str, tuple[float, float]] = {  # lowest and highest value, see `S
     "placing": (0.0, 0.05),
     "heading": (0.0, 1.0),
     "cube_turn": (0.0, 0.8),
+    "push": (0.0, 0.3),
 }
 
 

@@ -21,7 +21,7 @@ _WHOLE = {"substeps", "image_width", "beam_rays"}
 _MAY_BE_ZERO = {
     "wheel_noise", "sensor_noise", "camera_noise", "proximeter_noise", "servo_restart",
     "elevation_dead_band", "tilt_dead_band", "floor_friction", "contact_friction", "low",
-    "beam_half_angle", "lift", "track_bias", "placing", "heading", "cube_turn",
+    "beam_half_angle", "lift", "track_bias", "placing", "heading", "cube_turn", "push",
 }  # fmt: skip
 
 GRAVITY = 9.81  # m/s²
@@ -35,6 +35,7 @@ NOMINAL: dict[str, Any] = {
     "placing": 0.0,
     "heading": 0.0,
     "cube_turn": 0.0,
+    "push": 0.0,
 }
 
 
@@ -135,6 +136,8 @@ class PlaneParams:
     placing: float = 0.01  # m, of the robot, in x and in y
     heading: float = 0.1  # rad, of the robot
     cube_turn: float = 0.1  # rad, of the cube, from facing the robot's start; the magnet takes 0.26
+    # m by which somebody moves each track forward or back, up to this, once on the way (see start)
+    push: float = 0.0
 
     # Experimental area: a run ends when the robot's hull crosses its border; assumption
     area: tuple[float, float, float, float] = (-0.25, 0.75, -0.35, 0.35)  # m: x, x, y, y

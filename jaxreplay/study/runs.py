@@ -83,14 +83,14 @@ def shards_of(config: StudyConfig, runs: Runs, size: int) -> list[np.ndarray]:
 def taught_by(config: StudyConfig, runs: Runs, k: int) -> PlaneParams | None:
     """Return the simulated robot that made the demonstrations of the k-th of these runs.
 
-    It has the settings of the run's own robot, or the nominal ones. None: they are in a file.
+    It has the settings of the run's own robot, but is not pushed; or the nominal settings. None:
+    they are in a file.
     """
     if config.demonstrations is not None:
         return None
-    settings = tuple(NOMINAL[name] for name in SETTINGS)
-    if runs.values["taught"][k] == "alike":
-        settings = tuple(_plain(runs.values[name][k]) for name in SETTINGS)
-    return _robot(config.plane, settings)
+    own = set(SETTINGS) - {"push"} if runs.values["taught"][k] == "alike" else set()
+    settings = (_plain(runs.values[name][k]) if name in own else NOMINAL[name] for name in SETTINGS)
+    return _robot(config.plane, tuple(settings))
 
 
 @cache

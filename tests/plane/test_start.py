@@ -38,9 +38,9 @@ def test_robot_and_cube_are_put_down_anywhere_within_their_errors():
     assert np.abs(correlation).max() < 4 / np.sqrt(N)
 
 
-@pytest.mark.parametrize("name", ["track_bias", "placing", "heading", "cube_turn"])
+@pytest.mark.parametrize("name", ["track_bias", "placing", "heading", "cube_turn", "push"])
 def test_a_world_with_another_setting_differs_in_that_alone(name):
-    settings = {"track_bias": 0.1, "placing": 0.01, "heading": 0.1, "cube_turn": 0.1}
+    settings = {"track_bias": 0.1, "placing": 0.01, "heading": 0.1, "cube_turn": 0.1, "push": 0.1}
     worlds = [
         plane_with(*[AWAY] * 5, params=PlaneParams(), **settings | {name: value})
         for value in (settings[name], settings[name] / 2, 0.0)
@@ -51,6 +51,7 @@ def test_a_world_with_another_setting_differs_in_that_alone(name):
             "placing": w.pose.robot[:, :2],
             "heading": w.pose.robot[:, 2],
             "cube_turn": w.pose.cube[:, 2] - AWAY[2],
+            "push": w._push[:, :2],
         }
         for w in worlds
     )
@@ -67,8 +68,24 @@ def test_what_differs_follows_from_the_worlds_seed():
     def drawn(seeds):
         env = PlaneVectorEnv(len(seeds), PlaneParams())
         env.reset(seed=seeds, options={"cube": np.tile(AWAY, (len(seeds), 1))})
-        return np.hstack([env._gain, env.pose.robot, env.pose.cube])
+        return np.hstack([env._gain, env.pose.robot, env._push, env.pose.cube])
 
     three, one = drawn([7, 8, 9]), drawn([8])
     np.testing.assert_array_equal(three[1], one[0])
-    assert (np.ptp(three[:, :5], axis=0) > 0).all()
+    assert (np.ptp(three[:, [0, 1, 2, 3, 4, 7]], axis=0) > 0).all()
+
+
+def test_a_push_moves_each_track_once_by_up_to_its_distance():
+    env = plane_with(*[AWAY] * 20, params=EXACT, push=0.05)
+    turned, ahead = [], []
+    for _ in range(420):
+        send(env, [0, 0, HIGH, 0, 0], PERIOD)
+        turned.append(env.pose.robot[:, 2].copy())
+        ahead.append(np.hypot(*env.pose.robot[:, :2].T))
+    left, right = env._push[:, :2].T  # a push takes a second
+    assert (np.abs(env._push[:, :2]) <= 0.05).all()
+    np.testing.assert_allclose(turned[-1], (right - left) / EXACT.track_separation, atol=1e-6)
+    np.testing.assert_allclose(ahead[-1], np.abs(left + right) / 2, rtol=0.02)
+    begins = PERIOD * np.argmax(np.abs(turned) > 1e-9, axis=0)
+    np.testing.assert_allclose(begins, env._push[:, 2], atol=2 * PERIOD)
+    assert 0 <= begins.min() < 10 < 30 < begins.max() <= 40

@@ -47,7 +47,7 @@ def test_a_factor_is_one_value_or_an_axis_in_the_files_order(tmp_path):
     given = {name: value for name, value in config.fixed.items() if value is not None}
     assert given == {
         "theta_tau": 0.05, "sigma": 0.2, "jump": "own_tau", "motor_unit": 0.01, "battery": 1.0,
-        "track_bias": 0.12, "placing": 0.01, "heading": 0.1, "cube_turn": 0.1,
+        "track_bias": 0.12, "placing": 0.01, "heading": 0.1, "cube_turn": 0.1, "push": 0.0,
         "taught": "alike", "controller": "filter", "start": "first", "last_steps": 10,
     }  # fmt: skip
     runs = runs_of(config)

@@ -111,7 +111,7 @@ def test_a_study_of_format_1_is_read_as_of_the_world_of_its_time(tmp_path):
     config = write(tmp_path, "motor_unit = 0.005\ndithering = true\n" + TEXT)
     folder = tmp_path / "out"
     stored = made_up_study(config, folder, format=1)
-    new = ("track_bias", "placing", "heading", "cube_turn", "taught", "controller")
+    new = ("track_bias", "placing", "heading", "cube_turn", "push", "taught", "controller")
     for name in new:
         del stored["config"]["fixed"][name]
     as_made_before(folder, stored, ["lifted"])
@@ -121,7 +121,7 @@ def test_a_study_of_format_1_is_read_as_of_the_world_of_its_time(tmp_path):
     assert np.isnan(dataset.lifted).all()
     assert dataset.taught.item() == "nominal"
     assert dataset.dithering.item()
-    assert [dataset[name].item() for name in new[:4]] == [0, 0, 0, 0]
+    assert [dataset[name].item() for name in new[:5]] == [0, 0, 0, 0, 0]
 
 
 def test_a_folder_made_before_a_factor_or_constant_existed_is_continued(config, tmp_path):

@@ -87,6 +87,13 @@ PLANE_FACTORS: dict[str, Factor] = {
         "rad",
         "largest angle by which the cube is turned",
     ),
+    "push": Factor(
+        _PLANE.push,
+        number(*SETTINGS["push"]),
+        "push",
+        "m",
+        "largest distance by which each track is pushed once on the way",
+    ),
     "taught": Factor(
         "alike",
         one_of("alike", "nominal"),
