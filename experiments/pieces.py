@@ -1,19 +1,24 @@
-"""From how many records is a run pieced together, and when in the run does it switch?
+"""From how many records is a run pieced together, when does it switch, and what for?
 
-    python experiments/pieces.py [--set KEY=VALUE]… [--out results/pieces]
+    python experiments/pieces.py [--seeds 10] [--set KEY=VALUE]… [--out results/pieces]
 
 The paper believes that a large θ_I does best "because our training runs essentially differ at the
-beginning": a run can pick the record that fits, and jump on to others later. So the runs of its
-Figure 3 are done again, under `own_tau` unless another reading is set; the record followed at each
-step is the most probable one, p(I_t | Z_1:t). A piece is a stretch of at least a second that
-follows one record. The table lists, for each θ_I, the pieces a run has, the records they come from,
-and how the switches between pieces are distributed over the run; the figure adds how far
-demonstrations differ, over the share of them that has passed. Intervals are 95 %, by bootstrap
-over runs.
+beginning": a run can pick the record that fits, and jump on to others later. So runs of its
+Figure 3 are done again with several sets of demonstrations, one for each seed, under `own_tau`
+unless another reading is set; the record followed at each step is the most probable one,
+p(I_t | Z_1:t). A piece is a stretch of at least a second that follows one record.
+
+Without any jump (θ_I = 0) the most probable record changes too, as observations tell records apart.
+So the table lists for each θ_I the pieces of a run, and those that the same observations have when
+they are filtered with θ_I = 0; the records that pieces come from; how the switches between pieces
+are distributed over the run; and, for the runs of two pieces or more, how many succeed, and how
+many of the same runs when they are replayed with θ_I = 0. The figure adds how far demonstrations
+differ, over the share of them that has passed. Intervals are 95 %, over sets (see `sets.py`).
 """
 
 import argparse
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
@@ -22,7 +27,7 @@ import jax
 import jax.numpy as jnp
 import matplotlib.pyplot as plt
 import numpy as np
-from scipy.stats import bootstrap
+from sets import interval, number, percent
 
 from jaxreplay.figures.outcomes import tick_text
 from jaxreplay.filter import build_filter
@@ -36,13 +41,37 @@ from jaxreplay.study.runs import records_of, runs_of, settings_of, shards_of
 from jaxreplay.study.shard import replays_of
 
 STUDY = Path(__file__).with_name("theta_i.toml")
+DEFAULTS = (
+    "jump=own_tau",
+    "axis.theta_i=[0.316227766017,0.1,0.0316227766017,0.01,1e-6,0]",
+    "repeats=1",
+    "positions.x.linspace=[0.26,0.39,2]",
+    "positions.y.linspace=[-0.09,0.09,3]",
+)
 PIECE = 1.0  # s
 THIRDS = 3
+
+
+class Pieced(NamedTuple):
+    """The runs with one set of demonstrations: V values of θ_I, n runs of each.
+
+    Attributes:
+        won: `[V, n]` whether they succeed.
+        pieces: V × n arrays, see :func:`pieces_of`.
+        without: the same, where the same observations are filtered with θ_I = 0.
+        spread: `[n_s, 101]` of the demonstrations, see :func:`spreads`.
+    """
+
+    won: np.ndarray
+    pieces: list[list[np.ndarray]]
+    without: list[list[np.ndarray]]
+    spread: np.ndarray
 
 
 def main():
     """Run, print the table and draw the figure."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--seeds", type=int, default=10, help="how many sets of demonstrations")
     parser.add_argument(
         "--set", action="append", default=[], metavar="KEY=VALUE", help="as of `jaxreplay run`"
     )
@@ -50,20 +79,32 @@ def main():
     options = parser.parse_args()
     keep_compiled()
     options.out.mkdir(parents=True, exist_ok=True)
-    config = load_config(STUDY, ["jump=own_tau", *options.set])
-    runs = runs_of(config)
-    won, pieces = np.zeros(len(runs), bool), [np.zeros((0, 3))] * len(runs)
-    for k, run in enumerate(done_again(config, options.out), 1):
-        won[run.index] = run.outcome == "S"
-        record = followed(run.records, run.params, config.fixed["jump"], run.observations)
-        pieces[run.index] = pieces_of(record)
-        if k % SLOTS == 0 or k == len(runs):
-            print(f"{k} of {len(runs)} runs", flush=True)
-    theta_i = runs.values["theta_i"]
-    print(table(theta_i, won, pieces))
+    sets = []
+    for seed in range(1, options.seeds + 1):
+        config = load_config(STUDY, [*DEFAULTS, *options.set, f"seed={seed}"])
+        sets.append(pieced(config, options.out))
+        print(f"{seed} of {options.seeds} sets", flush=True)
+    theta_i = np.array(config.values_of("theta_i"))
+    print(table(theta_i, sets))
     for suffix in ("png", "pdf"):
-        figure(theta_i, won, pieces, run.records, options.out / f"pieces.{suffix}")
+        figure(theta_i, sets, options.out / f"pieces.{suffix}")
     print(f"{options.out}: pieces.png and pieces.pdf")
+
+
+def pieced(config: StudyConfig, folder: Path) -> Pieced:
+    """Do the runs of a study again, whose only axis is θ_I, and divide them into pieces."""
+    won, found = np.zeros(config.n_runs, bool), [()] * config.n_runs
+    for run in done_again(config, folder):
+        won[run.index] = run.outcome == "S"
+        found[run.index] = tuple(
+            pieces_of(followed(run.records, params, config.fixed["jump"], run.observations))
+            for params in (run.params, replace(run.params, theta_i=np.zeros(())))
+        )
+    n = config.n_runs // len(config.values_of("theta_i"))
+    pieces, without = (
+        [[each[k] for each in found[i : i + n]] for i in range(0, len(found), n)] for k in (0, 1)
+    )
+    return Pieced(won.reshape(-1, n), pieces, without, spreads(run.records))
 
 
 class Done(NamedTuple):
@@ -138,64 +179,72 @@ def switches_of(pieces: np.ndarray) -> np.ndarray:
     return pieces[1:, 1]
 
 
-def mean_and_interval(values: np.ndarray) -> tuple[float, float, float]:
-    """Return the mean with its 95 % interval by bootstrap; NaN as interval of a single value."""
-    if len(values) < 2:
-        return float(values.mean()), np.nan, np.nan
-    interval = bootstrap(
-        (values,), np.mean, method="percentile", rng=np.random.default_rng(0)
-    ).confidence_interval
-    return float(values.mean()), float(interval.low), float(interval.high)
-
-
-def table(theta_i: np.ndarray, won: np.ndarray, pieces: list[np.ndarray]) -> str:
+def table(theta_i: np.ndarray, sets: list[Pieced]) -> str:
     """Return the table: a row for each θ_I."""
     lines = [
-        f"{'θ_I':>9}{'runs':>6}{'S':>6}{'pieces a run':>22}{'records a run':>22}"
-        f"{'switches in the first, second, last third':>44}"
+        f"{'':9}{'':>14}{'':>22}{'filtered':>22}{'':>22}{'switches by thirds':>24}"
+        f"{'of runs with two pieces or more':>44}",
+        f"{'θ_I':>9}{'S, %':>14}{'pieces a run':>22}{'with θ_I = 0':>22}{'records a run':>22}"
+        f"{'of the run':>24}{'count':>8}{'S, %':>16}{'S with θ_I = 0, %':>20}",
     ]
-    for value in dict.fromkeys(theta_i):
-        these = np.flatnonzero(theta_i == value)
-        row = f"{value:9.3g}{len(these):6d}{won[these].sum():6d}"
-        for count in (len, lambda p: len(set(p[:, 0]))):
-            mean, low, high = mean_and_interval(np.array([count(pieces[k]) for k in these]))
-            row += f"{mean:.1f} [{low:.1f}, {high:.1f}]".rjust(22)
-        when = np.concatenate([switches_of(pieces[k]) for k in these])
+    for v, value in enumerate(theta_i):
+        won = interval(np.array([each.won[v].mean() for each in sets]))
+        row = f"{value:9.3g}{percent(won):>14}"
+        counts = (
+            [[len(p) for p in each.pieces[v]] for each in sets],
+            [[len(p) for p in each.without[v]] for each in sets],
+            [[len(set(p[:, 0])) for p in each.pieces[v]] for each in sets],
+        )
+        row += "".join(f"{number(interval(np.mean(count, axis=1))):>22}" for count in counts)
+        when = np.concatenate([switches_of(p) for each in sets for p in each.pieces[v]])
         thirds = np.histogram(when, np.linspace(0, 1, THIRDS + 1))[0] / max(len(when), 1)
-        lines.append(row + ", ".join(f"{share:.0%}" for share in thirds).rjust(44))
+        row += ", ".join(f"{share:.0%}" for share in thirds).rjust(24)
+        switched = np.array(counts[0]) > 1
+        row += f"{switched.sum():8}"
+        alone = np.flatnonzero(theta_i == 0)
+        for other in (v, *alone):
+            rates = [
+                each.won[other][s].mean() for each, s in zip(sets, switched, strict=True) if s.any()
+            ]
+            row += f"{percent(interval(np.array(rates))):>{16 if other == v else 20}}"
+        lines.append(row)
     return "\n".join(lines)
 
 
-def figure(theta_i, won, pieces, records: Records, path: Path):
+def figure(theta_i: np.ndarray, sets: list[Pieced], path: Path):
     """Draw pieces against θ_I, switches over the run, and how demonstrations differ."""
-    values = list(dict.fromkeys(theta_i))
     with plt.rc_context({"font.size": 8, "axes.spines.top": False, "axes.spines.right": False}):
         drawn, (left, middle, right) = plt.subplots(1, 3, figsize=(8, 2.7), layout="constrained")
-        for name, which, style in (("S", won, "o-"), ("not S", ~won, "s--")):
-            counts = [
-                np.array([len(pieces[k]) for k in np.flatnonzero((theta_i == v) & which)])
-                for v in values
+        for name, style, color in (("pieces", "o-", "black"), ("without", "s--", "0.55")):
+            means = [
+                interval(
+                    np.array([np.mean([len(p) for p in getattr(each, name)[v]]) for each in sets])
+                )
+                for v in range(len(theta_i))
             ]
-            means = [mean_and_interval(c) if len(c) else (np.nan,) * 3 for c in counts]
             mean, low, high = np.array(means).T
             left.errorbar(
-                range(len(values)), mean, [mean - low, high - mean], fmt=style, capsize=2,
-                color="black" if name == "S" else "0.55", label=name, markersize=4,
+                range(len(theta_i)), mean, [mean - low, high - mean], fmt=style, capsize=2,
+                color=color, markersize=4,
+                label="as replayed" if name == "pieces" else "filtered with $\\theta_I$ = 0",
             )  # fmt: skip
-        left.set_xticks(range(len(values)), [tick_text("theta_i", v) for v in values], rotation=90)
+        left.set_xticks(
+            range(len(theta_i)), [tick_text("theta_i", v) for v in theta_i], rotation=90
+        )
         left.set_xlabel("$\\theta_I$")
-        left.set_ylabel("pieces a run (mean, 95 %)")
-        left.set_ylim(0, 1.1 * max(map(len, pieces)))
+        left.set_ylabel("pieces a run (mean, 95 % over sets)")
+        left.set_ylim(0, None)
         left.legend(frameon=False)
-        when = [switches_of(p) for p in pieces]
+        jumping = [runs for each in sets for runs, v in zip(each.pieces, theta_i, strict=True) if v]
+        when = [switches_of(p) for runs in jumping for p in runs]
         middle.hist(100 * np.concatenate(when), np.linspace(0, 100, 21), color="0.4")
         middle.set_xlabel("when in the run, % of its duration")
-        middle.set_ylabel("switches, all runs")
-        spread = spreads(records)
+        middle.set_ylabel("switches, θ_I > 0")
+        spread = np.mean([each.spread for each in sets], axis=0)
         at = np.linspace(0, 100, spread.shape[1])
         right.plot(at, spread[0], "k-", label=SENSOR_NAMES[0])
         right.plot(at, spread[1:].mean(axis=0), "k--", label="proximeters' mean")
-        right.set_xlabel("share of the demonstration that has passed, %")
+        right.set_xlabel("share of the demonstration, %")
         right.set_ylabel("spread of demonstrations,\nshare of a sensor's range")
         right.set_ylim(0, None)
         right.legend(frameon=False, loc="lower center", bbox_to_anchor=(0.5, 1), ncols=2)

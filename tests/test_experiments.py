@@ -148,6 +148,25 @@ def test_causes_are_compared_within_sets(tmp_path):
 GRIPPER = (3, 1), (3, -1), (4, 1), (2, 1)  # column of the commands, and up or down
 
 
+def test_runs_that_switch_are_compared_with_the_same_runs_without_jumps(tmp_path):
+    one, two = (np.array(rows) for rows in ([[3, 0, 1]], [[3, 0, 0.5], [5, 0.5, 1]]))
+    found = pieces.Pieced(
+        won=np.array([[True, True, False], [True, False, False]]),  # θ_I of 0.1, and 0
+        pieces=[[one, two, two], [one, one, one]],
+        without=[[one, one, one], [one, one, one]],
+        spread=np.zeros((7, 101)),
+    )
+    theta_i = np.array([0.1, 0.0])
+    row = pieces.table(theta_i, [found, found]).splitlines()[2].split()
+    assert row[:2] == ["0.1", "67"]
+    assert row[3:8:2] == ["1.7", "1.0", "1.7"]
+    assert row[9:12] == ["0%,", "100%,", "0%"]
+    assert row[12] == "4"
+    assert row[13::2] == ["50", "0"]
+    pieces.figure(theta_i, [found, found], tmp_path / "pieces.png")
+    assert matplotlib.image.imread(tmp_path / "pieces.png").std() > 0
+
+
 def test_a_start_anywhere_finds_what_is_unlike_the_rest():
     way = np.linspace(0, 1, 80)[:, None]
     sensors = [np.hstack([way, way**2]) + 0.001 * k for k in range(3)]
@@ -198,12 +217,6 @@ def test_a_stall_is_described_by_its_last_minute():
 
 def test_bootstrap_intervals():
     rng = np.random.default_rng(1)
-    values = rng.normal(5, 2, 400)
-    mean, low, high = pieces.mean_and_interval(values)
-    assert mean == values.mean()
-    assert [low, high] == pytest.approx(mean + np.array([-1.96, 1.96]) * 2 / 20, abs=0.03)
-    assert np.isnan(pieces.mean_and_interval(values[:1])[1:]).all()
-
     score = rng.normal(size=300)
     success = np.round(score + rng.normal(size=300), 1)  # with ties
     rho, low, high = tuning.correlation(score, success)
