@@ -15,6 +15,7 @@ from jaxreplay.loop import tracker
 from jaxreplay.loop.rivals import controller_named
 from jaxreplay.plane.params import PlaneParams
 from jaxreplay.plane.positions import DEMONSTRATED
+from jaxreplay.recordings.scores import leave_one_out
 from jaxreplay.study.config import load_config
 from jaxreplay.study.demonstrations import record
 
@@ -165,6 +166,25 @@ def test_runs_that_switch_are_compared_with_the_same_runs_without_jumps(tmp_path
     assert row[13::2] == ["50", "0"]
     pieces.figure(theta_i, [found, found], tmp_path / "pieces.png")
     assert matplotlib.image.imread(tmp_path / "pieces.png").std() > 0
+
+
+def test_scores_from_records_are_those_of_tune_and_parts_of_them(monkeypatch):
+    monkeypatch.setattr(tracker, "WINDOWS", ())  # to compile less
+    rng = np.random.default_rng(2)
+    sensors = [np.cumsum(rng.normal(size=(n, 2)), axis=0) for n in (40, 35, 45)]
+    commands = [1.0 * np.column_stack([np.arange(len(z)) >= 20, 0 * z[:, 0]]) for z in sensors]
+    records = Records.from_sequences(sensors, commands)
+    params = Params(np.array([0.1, 0.01]), np.full(2, 0.05), np.array([[1.0, 1.0], [2.0, 2.0]]))
+    chosen = np.array([0, 2])
+    whole = leave_one_out(records, params, "own_tau", chosen)
+    found = tuning.scores_of(records, params, "own_tau", chosen)
+    np.testing.assert_allclose(found["command error"], -100 * whole.command_error, rtol=1e-5)
+    np.testing.assert_allclose(found["log evidence"], whole.log_evidence, rtol=1e-5)
+    _, evidence = tuning.predicted(records, params, "own_tau", 0, sensors[0], commands[0])
+    _, last = tuning.predicted(records, params, "own_tau", 2, sensors[2], commands[2])
+    moving = np.concatenate([evidence[20:], last[20:]]).mean(axis=0)
+    np.testing.assert_allclose(found["… while it moves"], moving, rtol=1e-5)
+    assert len({tuple(score) for score in found.values()}) == 6
 
 
 def test_a_start_anywhere_finds_what_is_unlike_the_rest():
