@@ -33,7 +33,7 @@ from sets import (
 
 import jaxreplay as jr
 from jaxreplay.figures.table import short
-from jaxreplay.plane.params import PlaneParams
+from jaxreplay.plane.params import SENSOR_NAMES, PlaneParams
 from jaxreplay.plane.positions import DEMONSTRATED
 from jaxreplay.study.dataset import cells
 from jaxreplay.study.worlds.plane import STALLS
@@ -78,10 +78,10 @@ def main():
                 continue
             again = options.against and options.against / folder.name
             compared = again and size != "its size" and again.is_dir()
-            others = rows(opened(again)) if compared else iter([])
+            others = {row.name: row for row in rows(opened(again))} if compared else {}
             for row in rows(runs):
                 text = value(row)
-                if other := next(others, None):
+                if other := others.get(row.name):
                     text += f"; again {percent(success(other.runs))}, p = {p_value(row, other):.2g}"
                 print(f"  {f'{size}, {row.name}':50}{text}")
 
@@ -151,6 +151,18 @@ def around(study: xr.Dataset) -> Iterator[Row]:
         ):
             runs = study.sel(jump=jump).isel(position=where.values)
             yield Row(f"{jump}, {name}, {where.sum().item()} positions", runs)
+
+
+def by_ignored(study: xr.Dataset) -> Iterator[Row]:
+    """Yield the runs without some sensors: those whose σ is above their range."""
+    for k in range(study.sizes["sigma_camera"]):
+        runs = study.isel(sigma_camera=k)
+        ignored = [name for name in SENSOR_NAMES if runs[f"sigma_{name}"] > 1]
+        yield Row(
+            f"without {', '.join(ignored) or 'none'}",
+            runs,
+            study.isel(sigma_camera=0) if k else None,
+        )
 
 
 def plateau(study: xr.Dataset) -> Iterator[Row]:
@@ -242,6 +254,29 @@ CLAIMS: tuple[tuple[str, str, str, Rows, Value], ...] = (
         how_well,
     ),
     ("it cannot extrapolate", "stated", "outside", around, rates),
+    (
+        "jumps help, as demonstrations differ at the beginning",
+        "believed",
+        "jumps",
+        by("records", first="theta_i"),
+        how_well,
+    ),
+    ("which sensors matter", "future work", "sensors", by_ignored, how_well),
+    ("other controllers", "–", "rivals", by("track_bias", "controller", first="controller"), rates),
+    (
+        "other controllers, fewer records",
+        "–",
+        "rivals_records",
+        by("records", "controller", first="controller"),
+        rates,
+    ),
+    (
+        "other controllers, a push on the way",
+        "–",
+        "rivals_push",
+        by("push", "controller", first="controller"),
+        rates,
+    ),
 )
 
 if __name__ == "__main__":

@@ -97,19 +97,21 @@ def test_the_large_sizes_are_listed_in_one_file(tmp_path):
         assert run == "run"
         assert others[-2:] == ["--workers", "2"]
         config = load_config(FOLDER / Path(file).name, others[1:-2:2])
-        reading = "_same_tau" if config.fixed.get("jump") == "same_tau" else ""
-        assert out == f"results/large/{Path(file).stem}{reading}/{config.seed}"
+        suffix = "_same_tau" if config.fixed.get("jump") == "same_tau" else ""
+        if file.endswith("rivals.toml"):
+            suffix = "".join(f"_{name}" for name in ("records", "push") if name in config.axes)
+        assert out == f"results/large/{Path(file).stem}{suffix}/{config.seed}"
         runs[Path(out).parent.name] += config.n_runs
     assert runs == LARGE
 
 
 LARGE = {
-    "theta_i": 2 * 10 * 300, "rivals": 4 * 7 * 300, "interpolation": 2 * 5 * 300,
-    "dithering": 2 * 3 * 300, "battery": 3 * 300, "light": 2 * 300, "sigma": 7 * 7 * 60,
-    "noise": 4 * 7 * 60, "outside": 2 * 130 * 10, "sensors": 9 * 300,
-    "jumps": 4 * 300, "grid": 7 * 7 * 7 * 30,
-    "interpolation_same_tau": 5 * 300, "dithering_same_tau": 2 * 3 * 300,
-    "battery_same_tau": 3 * 300, "light_same_tau": 2 * 300, "grid_same_tau": 4 * 3 * 7 * 60,
+    "theta_i": 2 * 10 * 300, "interpolation": 5 * 300, "dithering": 2 * 3 * 300,
+    "battery": 3 * 300, "light": 2 * 300, "jumps": 4 * 300, "sensors": 9 * 300,
+    "outside": 2 * 130 * 3, "grid": 7 * 3 * 7 * 30, "sigma": 7 * 7 * 30, "noise": 4 * 7 * 30,
+    "rivals": 4 * 7 * 300, "rivals_records": 5 * 4 * 300, "rivals_push": 3 * 4 * 300,
+    "interpolation_same_tau": 5 * 300, "light_same_tau": 2 * 300,
+    "dithering_same_tau": 2 * 3 * 300, "battery_same_tau": 3 * 300, "grid_same_tau": 4 * 3 * 7 * 30,
 }  # fmt: skip
 
 
