@@ -35,9 +35,10 @@ MAY_IMPORT = {
     "plane": {"errors"},
     "recordings": GROUND | {"records", "params", "filter", "loop"},
     "study": GROUND | {"records", "params", "filter", "loop", "plane", "recordings"},
-    "pictures": {"records", "recordings", "study", "figures"},
+    "page": {"plane", "study.dataset", "figures"},
+    "pictures": {"errors", "records", "recordings", "study", "figures", "page"},
     "figures": {"records", "params", "plane", "recordings", "study.dataset"},
-    "cli": GROUND | {"params", "records", "recordings", "study", "figures"},
+    "cli": GROUND | {"params", "records", "recordings", "study", "figures", "pictures"},
     "": {
         "filter",
         "loop",

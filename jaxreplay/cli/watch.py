@@ -1,4 +1,4 @@
-"""`jaxreplay watch`: do one run of a study again, and save an animation of it."""
+"""`jaxreplay watch`: do one run of a study again, and save a page that plays it."""
 
 import argparse
 import re
@@ -15,8 +15,8 @@ def add_to(commands: Commands) -> None:
     """Add the command."""
     parser = commands.add_parser(
         "watch",
-        help="save an animation of one run",
-        description="Do one run of a study again, and save an animation of it.",
+        help="save a page that plays one run",
+        description="Do one run of a study again, and save a page that plays it.",
     )
     parser.add_argument(
         "study", type=Path, metavar="CONFIG_OR_DIR", help="a TOML file, or the folder of a study"
@@ -36,8 +36,8 @@ def add_to(commands: Commands) -> None:
         "--out",
         type=Path,
         metavar="FILE",
-        help="a .gif, or a .png for a still of the end (default: run_RUN.gif in the study's "
-        "folder; for a TOML file: in results/NAME)",
+        help="a page (.html), an animation (.gif) or a picture of the end (.png); default: "
+        "run_RUN.html in the study's folder, for a TOML file in results/NAME",
     )
     parser.set_defaults(action=_watch)
 
@@ -45,22 +45,23 @@ def add_to(commands: Commands) -> None:
 def _watch(options: argparse.Namespace) -> None:
     from tqdm import tqdm
 
-    from jaxreplay.figures.animation import animate, still, title
+    from jaxreplay.figures.animation import title
     from jaxreplay.machine import keep_compiled
+    from jaxreplay.pictures import Watched, check_suffix
     from jaxreplay.study.again import find_and_run_again
     from jaxreplay.study.config import load_config
 
     check_file(options.study)
     keep_compiled()
-    if options.out and options.out.suffix not in (".gif", ".png"):
-        raise ConfigError(f"--out {options.out}: its name must end in .gif, or in .png for a still")
+    if options.out:
+        check_suffix(options.out)
     if options.study.is_dir():
         study = folder = options.study
     else:
         study, folder = load_config(options.study), Path("results") / options.study.stem
     named = parse_run(options.run)
     k, run = find_and_run_again(study, named, folder)
-    path = options.out or folder / f"run_{k if isinstance(named, dict) else named}.gif"
+    path = options.out or folder / f"run_{k if isinstance(named, dict) else named}.html"
     path.parent.mkdir(parents=True, exist_ok=True)
     with tqdm(desc=f"{path}", unit="frame", disable=None) as bar:
 
@@ -68,10 +69,7 @@ def _watch(options: argparse.Namespace) -> None:
             bar.total = total
             bar.update(done - bar.n)
 
-        if path.suffix == ".gif":
-            animate(run, options.speed, progress).save(path)
-        else:
-            still(run).save(path)
+        Watched(run, options.speed).save(path, progress)
     print(title(run))
     print(path)
 

@@ -1,8 +1,6 @@
 """An animation of one run: the plane, the belief, sensors and commands."""
 
-from base64 import b64encode
 from collections.abc import Callable
-from io import BytesIO
 from pathlib import Path
 from typing import NamedTuple
 
@@ -23,7 +21,7 @@ def title(run: Trace) -> str:
 
 
 class Animation(NamedTuple):
-    """An animation, which a notebook shows.
+    """An animation.
 
     Attributes:
         frames: pictures with one palette.
@@ -33,17 +31,12 @@ class Animation(NamedTuple):
     frames: list[Image.Image]
     durations: list[float]
 
-    def save(self, path: str | Path | BytesIO) -> None:
+    def save(self, path: str | Path) -> None:
         """Save the animation as a GIF, repeated without end."""
         first, *others = self.frames
         first.save(
             path, "GIF", save_all=True, append_images=others, duration=self.durations, loop=0
         )
-
-    def _repr_html_(self) -> str:
-        file = BytesIO()
-        self.save(file)
-        return f'<img src="data:image/gif;base64,{b64encode(file.getvalue()).decode()}">'
 
 
 def animate(

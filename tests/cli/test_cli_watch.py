@@ -1,4 +1,5 @@
 import re
+from pathlib import Path
 
 import pytest
 from PIL import Image
@@ -22,15 +23,19 @@ def test_the_run_is_done_again_and_saved(tmp_path, monkeypatch, capsys):
 
     monkeypatch.setattr(again, "run_again", run_again)
     for arguments, path in (
-        (["--run", "7", "--speed", "40"], "results/study/run_7.gif"),
+        (["--run", "7", "--speed", "40"], "results/study/run_7.html"),
+        (["--out", "run.gif", "--speed", "40"], "run.gif"),
         (["--out", "new/end.png"], "new/end.png"),
-        (["--run", "theta_i=0.1,position=2,repeat=1"], "results/study/run_7.gif"),
+        (["--run", "theta_i=0.1,position=2,repeat=1"], "results/study/run_7.html"),
     ):
         assert cli.main(["watch", "study.toml", *arguments]) == 0
         assert capsys.readouterr().out == f"{title(trace())}\n{path}\n"
+        if path.endswith("html"):
+            assert "S, error 2.3 mm" in Path(path).read_text("utf-8")
+            continue
         with Image.open(path) as image:
             assert image.format == path[-3:].upper()
-    assert asked == [(0.1, 20, 7), (0.1, 20, 0), (0.1, 20, 7)]
+    assert asked == [(0.1, 20, k) for k in (7, 0, 0, 7)]
 
 
 @pytest.mark.parametrize(
@@ -48,7 +53,7 @@ def test_the_run_is_done_again_and_saved(tmp_path, monkeypatch, capsys):
         (["{config}", "--run", "foo"], "values such as theta_i=0.01,position=0"),
         (["{config}", "--run", "position=0 repeat=0"], "separate values by commas, such as"),
         (["{config}", "--run", "jump=own_tau;repeat=0"], "separate values by commas, such as"),
-        (["{config}", "--out", "run.mp4"], r"its name must end in \.gif, or in \.png"),
+        (["{config}", "--out", "run.mp4"], r"its name must end in \.html for a page"),
         (["{folder}"], r"study\.json is missing"),
     ],
 )

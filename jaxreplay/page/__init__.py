@@ -1,0 +1,1 @@
+"""What a browser shows: one run as one HTML file, without anything from outside."""
