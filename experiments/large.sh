@@ -26,6 +26,11 @@ study() {
     at 5 6 "$ten" "$@"
 }
 
+coarse() { # the grid with fewer θ_I and θ_τ
+    at 2 3 "$five" grid --set "axis.theta_i.logspace=[-0.5,-6.5,4]" \
+        --set "axis.theta_tau=[0.01,0.05,0.2]"
+}
+
 study theta_i
 study dithering --set "axis.theta_i=[0.1]" --set "axis.motor_unit=[0.005,0.01,0.02]"
 study battery --set "axis.theta_i=[0.1]" --set "axis.battery=[0.2,0.6,1.0]"
@@ -35,7 +40,7 @@ study jumps
 study sensors
 at 10 13 "${SEEDS:-1 2 3}" outside --set "positions.x.linspace=[0.2,0.65,10]" \
     --set "positions.y.linspace=[-0.3,0.3,13]"
-at 2 3 "$five" grid --set "axis.theta_tau=[0.01,0.05,0.2]"
+coarse
 at 2 3 "$five" sigma
 at 2 3 "$five" noise
 
@@ -53,4 +58,4 @@ study interpolation --set "axis.theta_i=[0.001]" --set "axis.records=[2,4,6,10,2
 study light --set "axis.theta_i=[0.001]"
 study dithering --set "axis.theta_i=[0.001]" --set "axis.motor_unit=[0.005,0.01,0.02]"
 study battery --set "axis.theta_i=[0.001]" --set "axis.battery=[0.2,0.6,1.0]"
-at 2 3 "$five" grid --set "axis.theta_i.logspace=[-0.5,-6.5,4]" --set "axis.theta_tau=[0.01,0.05,0.2]"
+coarse
