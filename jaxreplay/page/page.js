@@ -1,26 +1,31 @@
 "use strict";
-// Draws a run from the data of page/run.py. A step t is an index into the steps that are stored.
-(async () => {
+// Draws a run from the data of page/run.py: from the page itself, or live from explore's server.
 const $ = (id) => document.getElementById(id);
-const about = JSON.parse($("about").textContent);
-const TYPES = { float32: Float32Array, uint16: Uint16Array, uint8: Uint8Array };
-const packed = Uint8Array.from(atob(about.data), (c) => c.charCodeAt(0));
-const unpacked = new Blob([packed]).stream().pipeThrough(new DecompressionStream("gzip"));
-const buffer = await new Response(unpacked).arrayBuffer();
-const data = {}; // by name: values, and how many there are of each step
-for (const [name, type, shape, offset] of about.arrays) {
-  const size = shape.reduce((a, b) => a * b, 1);
-  data[name] = new TYPES[type](buffer, offset, size);
-  data[name].each = size / shape[0];
-}
-const row = (name, t) => data[name].subarray(t * data[name].each, (t + 1) * data[name].each);
-const { steps, unit, end, rows, taus } = about;
-const N = rows.length, last = steps.length - 1;
-const time = (t) => steps[t] * about.period; // s, or steps where the period is unknown
+const make = (tag, values = {}, ...children) => {
+  const element = Object.assign(document.createElement(tag), values);
+  element.append(...children);
+  return element;
+};
 const css = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
-const pictures = about.pictures.map((uri) => Object.assign(new Image(), { src: uri }));
-await Promise.all(pictures.map((image) => image.decode()));
-let t = 0, playing = false;
+const about = JSON.parse($("about").textContent);
+let run, frames = [], ending = null; // what is shown: its description, its steps, how it ended
+let t = 0, playing = false, growing = false, pictures = [];
+const last = () => frames.length - 1;
+const time = (k) => frames[k].step[0] * run.period; // s, or steps where the period is unknown
+
+async function unpack({ arrays, packed }) { // an object of arrays for each step
+  const bytes = Uint8Array.from(atob(packed), (c) => c.charCodeAt(0));
+  const unpacked = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("gzip"));
+  const buffer = await new Response(unpacked).arrayBuffer();
+  const types = { float32: Float32Array, uint16: Uint16Array, uint8: Uint8Array };
+  const steps = Array.from({ length: arrays[0][2][0] }, () => ({}));
+  for (const [name, type, shape, offset] of arrays) {
+    const each = shape.reduce((a, b) => a * b, 1) / shape[0];
+    const all = new types[type](buffer, offset, each * shape[0]);
+    steps.forEach((step, k) => { step[name] = all.subarray(k * each, (k + 1) * each); });
+  }
+  return steps;
+}
 
 const LEFT = 34, RIGHT = 14; // beside the plot area
 // A panel: the plot area (x, y, w, h) of a figure's canvas, in CSS pixels, and two axes.
@@ -73,19 +78,22 @@ function image(columns, n, value) {
 const paste = (c, picture, { x, y, w, h }) => {
   c.imageSmoothingEnabled = false; c.drawImage(picture, x, y, w, h);
 };
-const RECORDS = { y: [-0.5, N - 0.5], names: rows };
+const records = () => ({ y: [-0.5, run.rows.length - 0.5], names: run.rows });
 
+let dragged = null, place = null; // the cube while it is dragged, and where a pixel is
 function drawWorld() {
-  if (about.pictures.length) {
-    const shown = pictures[about.shown[t]], { c, area } = panel("world", { x: [0, 1], y: [0, 1] });
+  if (pictures.length) {
+    const shown = pictures[frames[t].shown[0]], { c, area } = panel("world", { x: [0, 1], y: [0, 1] });
     const k = Math.min(area.w / shown.width, area.h / shown.height);
     c.clearRect(0, 0, 1e4, 1e4); c.drawImage(shown, area.x, area.y, k * shown.width, k * shown.height);
-  } else if (about.plane) drawPlane(about.plane);
+  } else if (run.plane) drawPlane(run.plane);
 }
 function drawPlane(p) {
   const [x0, x1, y0, y1] = p.area.map((v) => 100 * v);
-  const { c, X, Y } = panel("world", { x: [x0, x1], y: [y0, y1], label: "ahead, cm", equal: true });
-  const [rx, ry, heading] = row("robot", t), [qx, qy, angle] = row("cube", t);
+  const { c, X, Y, area } = panel("world", { x: [x0, x1], y: [y0, y1], label: "ahead, cm", equal: true });
+  place = (x, y) => [ // of a point of the canvas, m
+    (x0 + (x - area.x) / area.w * (x1 - x0)) / 100, (y1 - (y - area.y) / area.h * (y1 - y0)) / 100];
+  const [rx, ry, heading] = frames[t].robot, [qx, qy, angle] = dragged ?? frames[t].cube;
   const at = (x, y, a, points) => points.map(([u, v]) => [
     X(100 * (x + u * Math.cos(a) - v * Math.sin(a))), Y(100 * (y + u * Math.sin(a) + v * Math.cos(a)))]);
   const shape = (points, fill, width = 1) => {
@@ -97,124 +105,158 @@ function drawPlane(p) {
   const half = p.view / 2, far = (side) => [0.6 * Math.cos(half), side * 0.6 * Math.sin(half)];
   line(c, at(rx, ry, heading, [far(-1), [0, 0], far(1)]), css("--line"));
   const trail = [];
-  for (let k = 0; k <= t; k++) trail.push([X(100 * row("robot", k)[0]), Y(100 * row("robot", k)[1])]);
+  for (const { robot } of frames.slice(0, t + 1)) trail.push([X(100 * robot[0]), Y(100 * robot[1])]);
   line(c, trail, css("--trail"), 1.5);
-  const beams = row("beams", t);
+  const { beams } = frames[t];
   for (let k = 0; k < beams.length; k += 4) line(c, at(0, 0, 0, [beams.subarray(k, k + 2),
     beams.subarray(k + 2, k + 4)]), css("--beam"));
-  const s = p.side / 2, g = p.gripper / 2, held = data.held[t];
+  const s = p.side / 2, g = p.gripper / 2, held = frames[t].held[0];
   shape(at(qx, qy, angle, [[-s, -s], [s, -s], [s, s], [-s, s]]), css("--cube"), held ? 3 : 1);
   const hull = Array.from({ length: 48 }, (_, k) => 2 * Math.PI * k / 48);
   shape(at(rx, ry, 0, hull.map((a) => [p.hull * Math.cos(a), p.hull * Math.sin(a)])), css("--hull"));
   line(c, at(rx, ry, heading, [[0, 0], [p.hull, 0]]), css("--ink"));
-  c.globalAlpha = 1 - 0.7 * data.raised[t];
+  c.globalAlpha = 1 - 0.7 * frames[t].raised[0];
   shape(at(rx, ry, heading, [[p.hull, -g], [p.reach, -g], [p.reach, g], [p.hull, g]]), css("--grip"));
   c.restore();
 }
 function drawNow() {
-  const belief = row("belief", t), columns = belief.length / N;
-  const { c, X, Y, area } = panel("now", { x: [0, taus], ...RECORDS, label: `moment τ, ${unit}` });
+  const { belief } = frames[t], N = run.rows.length, columns = belief.length / N;
+  const label = `moment τ, ${run.unit}`;
+  const { c, X, Y, area } = panel("now", { x: [0, run.taus], ...records(), label });
   paste(c, image(columns, N, (i, k) => belief[k * columns + i]), area);
-  about.ends.forEach((x, k) => line(c, [[X(x), Y(k - 0.5)], [X(x), Y(k + 0.5)]], css("--soft")));
+  run.ends.forEach((x, k) => line(c, [[X(x), Y(k - 0.5)], [X(x), Y(k + 0.5)]], css("--soft")));
 }
-let stripes = null; // p(I) of all steps
+let stripes, painted; // p(I) of the steps so far, a column each
 function drawPast() {
-  const { c, X, Y, area } = panel("past", { x: [0, end], ...RECORDS, label: `time, ${unit}` });
-  stripes ??= image(steps.length, N, (i, k) => data.share[i * N + k] / 257);
-  c.save(); c.beginPath(); c.rect(0, 0, X(time(t)), 1e4); c.clip();
-  paste(c, stripes, { ...area, x: X(0), w: X(time(last)) - X(0) });
-  for (const jump of about.jumps) {
-    const x = X(time(jump)), y = area.y;
-    c.fillStyle = css("--beam"); c.beginPath();
-    c.moveTo(x - 4, y); c.lineTo(x + 4, y); c.lineTo(x, y + 7); c.fill();
+  const { c, X, Y, area } = panel("past", { x: [0, end()], ...records(), label: `time, ${run.unit}` });
+  const N = run.rows.length, paper = stripes.getContext("2d");
+  if (painted === 0) paper.clearRect(0, 0, stripes.width, N);
+  if (painted <= last()) {
+    const from = painted;
+    paper.drawImage(image(last() + 1 - from, N, (i, k) => frames[from + i].share[k] / 257), from, 0);
+    painted = last() + 1;
   }
-  c.restore();
+  const width = X(time(t)) - X(0);
+  c.imageSmoothingEnabled = false;
+  c.drawImage(stripes, 0, 0, t + 1, N, area.x, area.y, width, area.h);
+  c.fillStyle = css("--beam");
+  for (let k = 0; k <= t; k++) if (frames[k].jump[0]) {
+    const x = X(time(k)), y = area.y;
+    c.beginPath(); c.moveTo(x - 4, y); c.lineTo(x + 4, y); c.lineTo(x, y + 7); c.fill();
+  }
 }
+const end = () => Math.max(run.end, frames.length ? time(last()) : 0); // of the axes of time
 const DASHES = [[], [6, 3], [2, 2], [8, 2, 2, 2]];
-const style = (k, n) => `hsl(${220 + 100 * k / n} 55% calc(var(--low) + (var(--high) - var(--low)) * ${
+const colour = (k, n) => `hsl(${220 + 100 * k / n} 55% calc(var(--low) + (var(--high) - var(--low)) * ${
   k / Math.max(n - 1, 1)}))`;
 function drawCurves(id) {
-  const { names, low, span } = about[id], n = names.length;
-  const { c, X, Y } = panel(id, { x: [0, end], y: [about[id].least, 1.05], label: `time, ${unit}` });
+  const { names, low, span, least } = run[id];
+  const { c, X, Y } = panel(id, { x: [0, end()], y: [least, 1.05], label: `time, ${run.unit}` });
   const colours = [...$(id).querySelectorAll("i")].map((e) => getComputedStyle(e).borderTopColor);
-  for (let k = 0; k < n; k++) {
+  names.forEach((_, k) => {
     const points = [];
-    for (let s = 0; s <= t; s++) points.push([X(time(s)), Y((row(id, s)[k] - low[k]) / span[k])]);
+    for (let s = 0; s <= t; s++) points.push([X(time(s)), Y((frames[s][id][k] - low[k]) / span[k])]);
     line(c, points, colours[k], 1.4, DASHES[k % 4]);
-  }
-}
-function show(step) {
-  t = Math.max(0, Math.min(last, step));
-  $("scrubber").value = t;
-  $("play").textContent = playing ? "Pause" : "Play";
-  $("clock").textContent = unit === "s" ? `${time(t).toFixed(1)} s` : `step ${time(t)}`;
-  const shares = row("share", t), k = shares.indexOf(Math.max(...shares));
-  $("reading").textContent = `${about.whose} record ${rows[k]} (${Math.round(shares[k] / 655.35)} %) at `
-    + `τ = ${data.tau[t].toFixed(unit === "s" ? 1 : 0)} ${unit}` + (t === last ? `. End: ${about.ending}` : "");
-  drawWorld(); drawNow(); drawPast(); drawCurves("sensors"); drawCurves("commands");
-}
-
-// Captions and legends
-const caption = (id, text) => { $(id).querySelector("figcaption").textContent = text; };
-caption("now", "belief p(I, τ) now (fourth root), by record I; bars: the records' ends");
-caption("past", "p(I) so far, by record I; marks: another record is twice as probable as the one before");
-if (about.plane) caption("world", "the plane from above; to the left, cm");
-for (const id of ["sensors", "commands"]) {
-  const { names, scale } = about[id], into = $(id).querySelector("figcaption");
-  into.textContent = `${id}, ${scale}:`;
-  names.forEach((name, k) => {
-    const entry = document.createElement("span"), mark = document.createElement("i");
-    mark.style.borderTopStyle = ["solid", "dashed", "dotted", "dashed"][k % 4];
-    mark.style.borderTopColor = style(k, names.length);
-    entry.append(mark, name);
-    into.append(" ", entry);
   });
 }
-document.querySelector("main").classList.toggle("blind", !about.plane && !pictures.length);
+function show(step) {
+  if (!frames.length) return;
+  t = Math.max(0, Math.min(last(), step));
+  const { share, tau } = frames[t], digits = run.unit === "s" ? 1 : 0;
+  $("scrubber").max = last(); $("scrubber").value = t;
+  $("play").textContent = playing ? "Pause" : "Play";
+  $("clock").textContent = digits ? `${time(t).toFixed(1)} s` : `step ${time(t)}`;
+  let reading = "";
+  if (share) {
+    const k = share.indexOf(Math.max(...share));
+    reading = `${run.whose} record ${run.rows[k]} (${Math.round(share[k] / 655.35)} %) at `
+      + `τ = ${tau[0].toFixed(digits)} ${run.unit}`;
+  }
+  if (t === last() && ending !== null) reading += `. End: ${ending}`;
+  $("reading").textContent = reading;
+  drawWorld();
+  if (share) { drawNow(); drawPast(); }
+  drawCurves("sensors"); drawCurves("commands");
+}
+
+// Prepare to show another run, whose steps follow.
+async function prepare(described) {
+  pictures = described.pictures.map((uri) => make("img", { src: uri }));
+  await Promise.all(pictures.map((image) => image.decode()));
+  [run, frames, ending, t, painted] = [described, [], null, 0, 0];
+  stripes = new OffscreenCanvas(2000, Math.max(run.rows.length, 1));
+  document.querySelector("header b").textContent = run.title;
+  document.querySelector("header span").textContent = run.place;
+  const caption = (id, text) => { $(id).querySelector("figcaption").textContent = text; };
+  caption("now", "belief p(I, τ) now (fourth root), by record I; bars: the records' ends");
+  caption("past", "p(I) so far, by record I; marks: another record is twice as probable as the one before");
+  caption("world", run.plane ? "the plane from above; to the left, cm" : "");
+  for (const id of ["sensors", "commands"]) {
+    const { names, scale } = run[id], into = $(id).querySelector("figcaption");
+    into.textContent = `${id}, ${scale}:`;
+    names.forEach((name, k) => {
+      const mark = make("i");
+      mark.style.borderTopStyle = ["solid", "dashed", "dotted", "dashed"][k % 4];
+      mark.style.borderTopColor = colour(k, names.length);
+      into.append(" ", make("span", {}, mark, name));
+    });
+  }
+  const { classList } = document.querySelector("main");
+  classList.toggle("blind", !run.plane && !pictures.length);
+  classList.toggle("driven", !run.rows.length);
+}
 
 // Controls
 const speeds = [...$("speed").options].map((option) => +option.text);
 const setSpeed = (k) => { $("speed").selectedIndex = Math.max(0, Math.min(speeds.length - 1, k)); };
-setSpeed(Math.max(0, speeds.findIndex((s) => s >= about.speed)));
-$("scrubber").max = last;
-$("scrubber").oninput = () => { playing = false; show(+$("scrubber").value); };
-let started; // the wall clock, ms, at which step 0 would have been shown
-const rate = () => speeds[$("speed").selectedIndex] * (unit === "s" ? 1 : 10) / 1000;
-const begin = () => { started = performance.now() - time(t) / rate(); };
+const rate = () => speeds[$("speed").selectedIndex] * (run.unit === "s" ? 1 : 10) / 1000;
+let at, before; // the moment that is played, and the wall clock then, ms
 function play(on) {
   playing = on;
-  if (on && t === last) t = 0;
-  begin(); show(t);
-  if (on) requestAnimationFrame(tick);
+  if (on && t === last() && !growing) t = 0;
+  show(t);
+  if (on && frames.length) {
+    [at, before] = [time(t), performance.now()];
+    requestAnimationFrame(tick);
+  }
 }
-function tick() {
+function tick(now) {
   if (!playing) return;
-  const now = (performance.now() - started) * rate();
+  at = Math.min(at + Math.max(0, now - before) * rate(), time(last()));
+  before = now;
   let next = t;
-  while (next < last && time(next + 1) <= now) next++;
+  while (next < last() && time(next + 1) <= at) next++;
   if (next !== t) show(next);
-  if (t === last) play(false); else requestAnimationFrame(tick);
+  if (t === last() && !growing) play(false); else requestAnimationFrame(tick);
 }
+function seek(step) { playing = false; show(step); }
+$("scrubber").oninput = () => seek(+$("scrubber").value);
 $("play").onclick = () => play(!playing);
-$("speed").onchange = begin;
 const KEYS = {
-  " ": () => play(!playing), Home: () => show(0), End: () => show(last),
-  "+": () => { setSpeed($("speed").selectedIndex + 1); begin(); },
-  "-": () => { setSpeed($("speed").selectedIndex - 1); begin(); },
+  " ": () => play(!playing), Home: () => seek(0), End: () => seek(last()),
+  "+": () => setSpeed($("speed").selectedIndex + 1),
+  "-": () => setSpeed($("speed").selectedIndex - 1),
 };
+let mode = null; // of explore
 addEventListener("keydown", (event) => {
+  if (event.ctrlKey || event.metaKey || event.altKey || event.target.type === "text") return;
   const way = { ArrowRight: 1, ArrowLeft: -1 }[event.key];
-  if (event.ctrlKey || event.metaKey || event.altKey || !(way || KEYS[event.key])) return;
+  if (mode === "Drive" || !(way || KEYS[event.key])) return;
   event.preventDefault(); document.activeElement.blur();
-  if (way || event.key === "Home" || event.key === "End") playing = false;
-  if (way) show(t + way * (event.shiftKey ? 10 : 1)); else KEYS[event.key]();
+  if (way) seek(t + way * (event.shiftKey ? 10 : 1)); else KEYS[event.key]();
 });
 for (const id of ["past", "sensors", "commands"]) $(id).querySelector("canvas").onclick = (event) => {
-  const wanted = (event.offsetX - LEFT) / (event.target.clientWidth - LEFT - RIGHT) * end;
-  playing = false; show(steps.findLastIndex((_, k) => time(k) <= wanted));
+  const wanted = (event.offsetX - LEFT) / (event.target.clientWidth - LEFT - RIGHT) * end();
+  seek(frames.findLastIndex((_, k) => time(k) <= wanted));
 };
-const again = () => { stripes = null; show(t); };
+const again = () => { painted = 0; show(t); };
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", again);
 new ResizeObserver(again).observe(document.body);
-show(0);
+
+if (about.run) (async () => {
+  setSpeed(speeds.filter((s) => s < about.speed).length);
+  const steps = await unpack(about.data);
+  await prepare(about.run);
+  [frames, ending] = [steps, about.ending];
+  show(0);
 })();

@@ -3,6 +3,7 @@
 import gzip
 import json
 from base64 import b64encode
+from collections.abc import Sequence
 from html import escape
 from importlib.resources import files
 from io import BytesIO
@@ -15,6 +16,7 @@ from PIL import Image
 from jaxreplay.figures.table import short
 from jaxreplay.plane.params import PlaneParams
 from jaxreplay.plane.sensors import Pose, proximeter_rays, ray_to_square
+from jaxreplay.records import Records
 from jaxreplay.study.dataset import Pictures, PlaneScene, Trace
 
 MOST_BYTES = 3_000_000  # of a page
@@ -46,59 +48,74 @@ def page(run: Trace, speed: float = 4.0) -> str:
 def _page(run: Trace, speed: float, apart: int) -> str:
     """Return the page with the last step, and each that is a multiple of `apart` before it."""
     chosen = np.arange(len(run.commands))[::-1][::apart][::-1]
-    about, arrays = _data(run, chosen)
-    about |= {"speed": speed, "steps": (chosen + 1).tolist(), **_packed(arrays)}
-    values = ", ".join(f"{symbol} {short(value)}" for symbol, value in run.values.items())
+    about, arrays = described(run), steps_of(run, chosen)
+    if isinstance(run.scene, Pictures):
+        reduced = [_reduced(run.scene.files[t]) for t in chosen]
+        about["pictures"] = list(dict.fromkeys(reduced))
+        arrays["shown"] = np.array([about["pictures"].index(uri) for uri in reduced])
+    return html(about, data=packed(arrays), ending=run.ending, speed=speed)
+
+
+def html(run: dict[str, Any] | None, **more: Any) -> str:
+    """Return the page with a description of a run (see :func:`described`), and more for it."""
     folder = files("jaxreplay.page")
     # In a script, "</" would end it.
-    safe = json.dumps(about, allow_nan=False, ensure_ascii=False).replace("</", r"<\/")
+    about = json.dumps({"run": run, **more}, allow_nan=False, ensure_ascii=False)
     return Template((folder / "page.html").read_text("utf-8")).substitute(
-        title=escape(values or "a run"),
-        place=escape(run.place),
+        title=escape(run["title"] if run else "explore"),
         style=(folder / "page.css").read_text("utf-8"),
         script=(folder / "page.js").read_text("utf-8"),
-        about=safe,
+        about=about.replace("</", r"<\/"),
     )
 
 
-def _data(run: Trace, chosen: np.ndarray) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """Return what the script needs of the chosen steps: a description, and arrays by name."""
-    lengths = np.asarray(run.records.lengths)
-    period, unit = (run.period, "s") if run.period else (1, "steps")
-    shares = run.beliefs.sum(axis=2)
-    rows = _rows(shares)
-    belief, width = _binned(run.beliefs[chosen][:, rows])
-    of_followed = run.beliefs[np.arange(len(shares)), shares.argmax(axis=1)]
-    moments = of_followed @ np.arange(of_followed.shape[1]) / of_followed.sum(axis=1)
-    arrays = {
-        "tau": (period * moments[chosen]).astype(np.float32),
-        "sensors": run.observations[chosen, :_CURVES].astype(np.float32),
-        "commands": run.commands[chosen, :_CURVES].astype(np.float32),
-        "share": np.rint(65535 * shares[chosen][:, rows]).astype(np.uint16),
-        "belief": belief,
-    }
-    plane, pictures = None, {"pictures": [], "shown": []}
-    if isinstance(run.scene, PlaneScene):
-        plane = _plane(run.scene, chosen, arrays)
-    elif isinstance(run.scene, Pictures):
-        pictures = _pictures(run.scene.files, chosen)
+def described(run: Trace) -> dict[str, Any]:
+    """Return what the script has to know of a whole run, beside its steps."""
+    values = ", ".join(f"{symbol} {short(value)}" for symbol, value in run.values.items())
+    names = run.records.sensor_names, run.records.command_names
+    params = run.scene.params if isinstance(run.scene, PlaneScene) else None
     drove = run.values.get("controller", "filter") == "filter"
-    about = {
-        "period": period,
-        "unit": unit,
-        "end": period * len(run.commands),
-        "taus": period * width,
-        "rows": rows.tolist(),
-        "ends": (period * lengths[rows]).tolist(),
+    return {
+        "title": values or "a run",
+        "place": run.place,
+        **timing(run.records, run.period, _rows(run.beliefs.sum(axis=2))),
+        "end": (run.period or 1) * len(run.commands),
         "whose": "followed:" if drove else "a filter, which did not drive, would follow:",
-        "jumps": np.searchsorted(chosen, jumps(shares)).tolist(),
-        "ending": run.ending,
-        "plane": plane,
-        "sensors": _scales(run.observations, run.records.sensor_names, None),
-        "commands": _scales(run.commands, run.records.command_names, run.scene),
-        **pictures,
+        "plane": params and drawn_with(params),
+        "sensors": curves(run.observations, names[0]),
+        "commands": curves(run.commands, names[1], params),
+        "pictures": [],
     }
-    return about, arrays
+
+
+def timing(records: Records, period: float | None, rows: np.ndarray) -> dict[str, Any]:
+    """Return the period, its unit, the records that are shown, and where they end."""
+    apart = period or 1
+    lengths = np.asarray(records.lengths)
+    return {
+        "period": apart,
+        "unit": "s" if period else "steps",
+        "taus": apart * _wide(records.longest) * -(-records.longest // _wide(records.longest)),
+        "rows": rows.tolist(),
+        "ends": (apart * lengths[rows]).tolist(),
+    }
+
+
+def steps_of(run: Trace, chosen: np.ndarray) -> dict[str, np.ndarray]:
+    """Return belief, sensors, commands and poses of some steps of a run, as they are drawn."""
+    shares = run.beliefs.sum(axis=2)
+    jumped = np.searchsorted(chosen, jumps(shares))
+    arrays = {
+        "step": chosen + 1,
+        "jump": np.isin(np.arange(len(chosen)), jumped),
+        "sensors": run.observations[chosen, :_CURVES],
+        "commands": run.commands[chosen, :_CURVES],
+        **belief_arrays(run.beliefs[chosen][:, _rows(shares)], run.period),
+    }
+    if isinstance(run.scene, PlaneScene):
+        pose = Pose(*(each[chosen] for each in run.scene[:4]))
+        arrays |= pose_arrays(run.scene.params, pose, run.scene.held[chosen])
+    return arrays
 
 
 def jumps(shares: np.ndarray) -> list[int]:
@@ -119,31 +136,47 @@ def _rows(shares: np.ndarray) -> np.ndarray:
     return np.sort(np.argsort(-shares.max(axis=0), kind="stable")[:_ROWS])
 
 
-def _binned(beliefs: np.ndarray) -> tuple[np.ndarray, int]:
-    """Return the fourth root of beliefs `[T, N, L]` as 0 … 255, and how many moments that is wide.
+def _wide(longest: int) -> int:
+    """Return how many moments τ are added up in one pixel of the belief."""
+    return max(min(_BIN, longest // 20), -(-longest // _COLUMNS), 1)
 
-    Neighbouring moments are added up, as a pixel each.
+
+def belief_arrays(beliefs: np.ndarray, period: float | None) -> dict[str, np.ndarray]:
+    """Return beliefs `[T, N, L]` as they are drawn: p(I), and the fourth root of p(I, τ).
+
+    Probabilities are stored as 0 … 65535 and their roots as 0 … 255; of neighbouring moments the
+    sum. `tau` is the mean moment of the most probable record, in s.
     """
     n_steps, n, longest = beliefs.shape
-    width = max(min(_BIN, longest // 20), -(-longest // _COLUMNS), 1)
-    whole = -(-longest // width) * width
-    padded = np.pad(beliefs, ((0, 0), (0, 0), (0, whole - longest)))
-    summed = padded.reshape(n_steps, n, -1, width).sum(axis=3)
-    return np.rint(255 * np.clip(summed, 0, 1) ** 0.25).astype(np.uint8), whole
-
-
-def _plane(scene: PlaneScene, chosen: np.ndarray, arrays: dict[str, np.ndarray]) -> dict[str, Any]:
-    """Add the poses to the arrays, and return the constants with which they are drawn."""
-    p = scene.params
-    pose = Pose(*(each[chosen] for each in scene[:4]))
-    arrays["robot"], arrays["cube"] = (x.astype(np.float32) for x in (pose.robot, pose.cube))
-    raised = (pose.elevation - p.low) / (p.high - p.low)
-    arrays["raised"] = np.clip(raised, 0, 1).astype(np.float32)
-    arrays["beams"] = beams(p, pose).astype(np.float32)
-    arrays["held"] = scene.held[chosen].astype(np.uint8)
+    width, shares = _wide(longest), beliefs.sum(axis=2)
+    columns = -(-longest // width)
+    padded = np.pad(beliefs, ((0, 0), (0, 0), (0, columns * width - longest)))
+    summed = padded.reshape(n_steps, n, columns, width).sum(axis=3)
+    followed = beliefs[np.arange(n_steps), shares.argmax(axis=1)]
     return {
-        "area": p.area, "hull": p.hull_radius, "reach": p.reach, "gripper": p.gripper_width,
-        "side": p.side, "view": p.field_of_view,
+        "share": np.rint(65535 * np.clip(shares, 0, 1)).astype(np.uint16),
+        "belief": np.rint(255 * np.clip(summed, 0, 1) ** 0.25).astype(np.uint8),
+        "tau": (period or 1) * (followed @ np.arange(longest)) / followed.sum(axis=1),
+    }
+
+
+def pose_arrays(params: PlaneParams, pose: Pose, held: np.ndarray) -> dict[str, np.ndarray]:
+    """Return robots, cubes and grippers of T steps as they are drawn."""
+    raised = (pose.elevation - params.low) / (params.high - params.low)
+    return {
+        "robot": pose.robot,
+        "cube": pose.cube,
+        "raised": np.clip(raised, 0, 1),
+        "beams": beams(params, pose).reshape(len(held), -1),
+        "held": held,
+    }
+
+
+def drawn_with(params: PlaneParams) -> dict[str, Any]:
+    """Return the constants with which the plane is drawn, m and rad."""
+    return {
+        "area": params.area, "hull": params.hull_radius, "reach": params.reach,
+        "gripper": params.gripper_width, "side": params.side, "view": params.field_of_view,
     }  # fmt: skip
 
 
@@ -160,13 +193,6 @@ def beams(params: PlaneParams, pose: Pose) -> np.ndarray:
     return np.stack([x, y, x + length * np.cos(angle), y + length * np.sin(angle)], axis=2)
 
 
-def _pictures(encoded: list[bytes], chosen: np.ndarray) -> dict[str, Any]:
-    """Return the chosen pictures, reduced, and which of them is shown at each step."""
-    uris: dict[str, int] = {}
-    shown = [uris.setdefault(_reduced(encoded[t]), len(uris)) for t in chosen]
-    return {"pictures": list(uris), "shown": shown}
-
-
 def _reduced(encoded: bytes) -> str:
     """Return a picture as the address of a JPEG of `_PICTURE` pixels at most."""
     picture = Image.open(BytesIO(encoded)).convert("RGB")
@@ -176,15 +202,20 @@ def _reduced(encoded: bytes) -> str:
     return f"data:image/jpeg;base64,{b64encode(file.getvalue()).decode()}"
 
 
-def _scales(values: np.ndarray, names, scene) -> dict[str, Any]:
-    """Return how curves of `[T, n]` values are drawn: names, lowest value and span of each."""
+def curves(
+    values: np.ndarray, names: Sequence[str], params: PlaneParams | None = None
+) -> dict[str, Any]:
+    """Return how columns of `[T, n]` values are drawn: their names, lowest values and spans.
+
+    With `params`, they are the plane's commands.
+    """
     low, span = values.min(axis=0), np.ptp(values, axis=0)
     scale = "each from its lowest to its highest value"
-    if isinstance(scene, PlaneScene):
-        p = scene.params
-        low, span = np.array([0, 0, p.low, 0, 0]), [0.05, 0.05, p.high - p.low, p.scanning_tilt, 1]
+    if params is not None:
+        low = np.array([0, 0, params.low, 0, 0])
+        span = np.array([0.05, 0.05, params.high - params.low, params.scanning_tilt, 1])
         scale = "tracks in units of 5 cm/s, gripper as a share of its travel"
-    span = np.where(np.array(span) > 0, span, 1.0)
+    span = np.where(span > 0, span, 1.0)
     scaled = (values - low) / span
     if len(names) > _CURVES:
         scale += f" ({_CURVES} of {len(names)})"
@@ -197,11 +228,19 @@ def _scales(values: np.ndarray, names, scene) -> dict[str, Any]:
     }
 
 
-def _packed(arrays: dict[str, np.ndarray]) -> dict[str, Any]:
+def packed(arrays: dict[str, np.ndarray]) -> dict[str, Any]:
     """Return arrays as one compressed text, and each one's name, type, shape and place in it."""
+    stored = {name: _stored(np.asarray(array)) for name, array in arrays.items()}
     listed, parts, offset = [], [], 0
-    for name, array in sorted(arrays.items(), key=lambda item: -item[1].itemsize):  # aligned
+    for name, array in sorted(stored.items(), key=lambda item: -item[1].itemsize):  # aligned
         listed.append([name, str(array.dtype), array.shape, offset])
         parts.append(np.ascontiguousarray(array).tobytes())
         offset += len(parts[-1])
-    return {"arrays": listed, "data": b64encode(gzip.compress(b"".join(parts), mtime=0)).decode()}
+    return {"arrays": listed, "packed": b64encode(gzip.compress(b"".join(parts), mtime=0)).decode()}
+
+
+def _stored(array: np.ndarray) -> np.ndarray:
+    """Return an array in a type that the script reads: float32, uint16 or uint8."""
+    if array.dtype in (np.uint8, np.uint16):
+        return array
+    return array.astype(np.uint8 if array.dtype == bool else np.float32)

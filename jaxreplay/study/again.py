@@ -2,8 +2,9 @@
 
 from collections.abc import Callable, Mapping
 from contextlib import closing
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -13,6 +14,7 @@ from gymnasium.vector import VectorEnv, VectorWrapper
 
 from jaxreplay.errors import ConfigError
 from jaxreplay.filter import build_filter
+from jaxreplay.filter.belief import Belief, Jump
 from jaxreplay.filter.options import Options
 from jaxreplay.loop.controller import FilterController, MakeController
 from jaxreplay.loop.replay import replay
@@ -30,6 +32,22 @@ from jaxreplay.study.worlds.world import World
 
 # Factors of a run that are shown; the others are if they have not their default.
 ALWAYS = ("theta_i", "theta_tau", "sigma", "jump")
+
+
+class Step(NamedTuple):
+    """One control step of a run.
+
+    Attributes:
+        observation: `[n_s]`.
+        command: `[n_u]`.
+        belief: `[N, L]` p(I, τ | Z_1:t).
+        seen: what was to be seen in the world, see `World.look`.
+    """
+
+    observation: np.ndarray
+    command: np.ndarray
+    belief: np.ndarray
+    seen: Any
 
 
 def find_and_run_again(
@@ -69,13 +87,19 @@ def find_and_run_again(
     return k, run_again(config, records, k)
 
 
-def run_again(config: StudyConfig, demonstrations: Demonstrations, k: int) -> Trace:
+def run_again(
+    config: StudyConfig,
+    demonstrations: Demonstrations,
+    k: int,
+    follow: Callable[[Records, Step], None] = lambda records, step: None,
+) -> Trace:
     """Do the k-th run of a study again and record it.
 
     Args:
         config: the study.
         demonstrations: its records.
         k: the run's index, counted along the dataset's dimensions.
+        follow: called after each control step, with the records that are replayed.
 
     Returns:
         The run. With the same records, results format and kind of processor it is identical to
@@ -86,7 +110,9 @@ def run_again(config: StudyConfig, demonstrations: Demonstrations, k: int) -> Tr
     how, chosen = how_of(one), records_of(config, demonstrations, one)
     controller = controller_named(one.values["controller"][0])
     with closing(worlds_of(config, one, render=True)) as worlds, config.world.failures():
-        trace = trace_of(config.world, chosen, params, worlds, how, seed, options, controller)
+        trace = trace_of(
+            config.world, chosen, params, worlds, how, seed, options, controller, follow
+        )
     values = {
         factors[name].symbol: value
         for name, (value,) in one.values.items()
@@ -182,23 +208,26 @@ def trace_of(
     seed: int,
     options: dict[str, np.ndarray],
     controller: MakeController = FilterController,
+    follow: Callable[[Records, Step], None] = lambda records, step: None,
 ) -> Trace:
     """Run one replay and record it.
 
-    Arguments are as of :func:`jaxreplay.replay`; `how` is its reading of a jump, start and end.
-    The beliefs are those that the filter has of the observations, also where another controller
-    made them.
+    Arguments are as of :func:`jaxreplay.replay` and :func:`run_again`; `how` is the reading of a
+    jump, start and end. The beliefs are those that the filter has of the observations, also where
+    another controller made them.
     """
-    env = _Recorder(worlds, world.look)
+    one = jax.tree.map(lambda x: x[0], params)
+    env = _Recorder(
+        worlds, world.look, Beliefs(records, one, how), lambda step: follow(records, step)
+    )
     replays = replay(
         records, params, env, [seed], **how._asdict(), options=options, controller=controller
     )
-    observations, commands, seen = zip(*env.rows, strict=True)
-    one = jax.tree.map(lambda x: x[0], params)
+    observations, commands, found, seen = zip(*env.steps, strict=True)
     return Trace(
         observations=np.array(observations),
         commands=np.array(commands),
-        beliefs=beliefs(records, one, how, np.array(observations)),
+        beliefs=np.array(found),
         records=records,
         ending=world.ending(replays),
         period=getattr(worlds.unwrapped, "control_period", records.period),
@@ -206,31 +235,47 @@ def trace_of(
     )
 
 
-def beliefs(records: Records, params: Params, how: Options, observations: np.ndarray) -> np.ndarray:
-    """Return p(I, τ | Z_1:t) of every step of a replay, `[T, N, L]`.
+class Beliefs:
+    """The belief of one replay, step by step, over all moments τ, without a window."""
 
-    All moments τ (positions on a record) are stored, without a window.
-    """
-    filter, centred = build_filter(how.jump), records.centred()
+    def __init__(self, records: Records, params: Params, how: Options):
+        """Begin at the records' first samples, or wherever `how` starts."""
+        self._records, self._params, self._jump = records.centred(), params, how.jump
+        self._centre = records.centre
+        self._belief = build_filter(how.jump).init(self._records, how.start)
 
-    def step(belief, z):
-        belief, _ = filter.update(centred, params, filter.predict(centred, params, belief), z)
-        return belief, filter.posterior(centred, belief)
+    def __call__(self, z: np.ndarray) -> np.ndarray:
+        """Take in an observation `[n_s]`, and return p(I, τ | Z_1:t), `[N, L]`."""
+        seen = jnp.asarray(self._centre(z))
+        self._belief, p = _next(self._records, self._params, self._belief, seen, self._jump)
+        return np.asarray(p)
 
-    z = jnp.asarray(records.centre(observations))
-    return np.asarray(jax.jit(lambda: jax.lax.scan(step, filter.init(centred, how.start), z)[1])())
+
+@partial(jax.jit, static_argnames="jump")
+def _next(records: Records, params: Params, belief: Belief, z: jax.Array, jump: Jump):
+    filter = build_filter(jump)
+    belief, _ = filter.update(records, params, filter.predict(records, params, belief), z)
+    return belief, filter.posterior(records, belief)
 
 
 class _Recorder(VectorWrapper):
-    """Records the observation, the command and what is to be seen in the first world."""
+    """Records each step of the first world: observation, command, belief and what is to be seen."""
 
-    def __init__(self, env: VectorEnv, look: Callable[[VectorEnv], Any]):
+    def __init__(
+        self,
+        env: VectorEnv,
+        look: Callable[[VectorEnv], Any],
+        belief_of: Callable[[np.ndarray], np.ndarray],
+        follow: Callable[[Step], None],
+    ):
         super().__init__(env)
-        self.rows: list[tuple] = []
-        self._look = look
+        self.steps: list[Step] = []
+        self._look, self._belief_of, self._follow = look, belief_of, follow
 
     def step(self, actions: np.ndarray) -> tuple[Any, ...]:
         """Simulate one control step and record it."""
         result = self.env.step(actions)
-        self.rows.append((result[0][0].copy(), actions[0].copy(), self._look(self.env)))
+        z = result[0][0].copy()
+        self.steps.append(Step(z, actions[0].copy(), self._belief_of(z), self._look(self.env)))
+        self._follow(self.steps[-1])
         return result

@@ -27,8 +27,8 @@ SAFE = "own </script><b>&"
 def about(text):
     """Return the description in a page, and its arrays by name."""
     found = json.loads(re.search(r'id="about">(.*?)</script>', text, re.DOTALL).group(1))
-    raw, arrays = decompress(b64decode(found["data"])), {}
-    for name, dtype, shape, offset in found["arrays"]:
+    raw, arrays = decompress(b64decode(found["data"]["packed"])), {}
+    for name, dtype, shape, offset in found["data"]["arrays"]:
         count = int(np.prod(shape))
         arrays[name] = np.frombuffer(raw, dtype, count, offset).reshape(shape)
     return found, arrays
@@ -62,14 +62,14 @@ def long_run(steps, n, longest):
 def test_a_page_contains_the_run():
     run = trace()
     found, arrays = about(page(run, 2.0))
-    assert found["ending"] == "S, error 2.3 mm"
-    assert (found["steps"], found["speed"]) == (list(range(1, STEPS + 1)), 2.0)
+    assert (found["ending"], found["speed"]) == ("S, error 2.3 mm", 2.0)
+    np.testing.assert_array_equal(arrays["step"], np.arange(1, STEPS + 1))
     np.testing.assert_allclose(arrays["sensors"], run.observations, rtol=1e-6)
     np.testing.assert_allclose(arrays["robot"], run.scene.robot, rtol=1e-6)
     np.testing.assert_allclose(arrays["share"] / 65535, run.beliefs.sum(axis=2), atol=1e-5)
     shown = (arrays["belief"].reshape(STEPS, 3, -1) / 255.0) ** 4
     np.testing.assert_allclose(shown.sum(axis=(1, 2)), 1, atol=0.05)
-    assert found["ends"] == [8, 6, 7]
+    assert found["run"]["ends"] == [8, 6, 7]
 
 
 def test_beams_are_those_of_the_other_pictures():
@@ -96,10 +96,10 @@ def test_a_page_of_a_long_run_or_of_many_records_stays_small(steps, n, longest):
     text = page(run)
     assert len(text.encode()) <= MOST_BYTES
     found, arrays = about(text)
-    assert found["steps"][-1] == steps
-    assert len(found["rows"]) == min(n, 60)
-    assert len(arrays["belief"]) == len(found["steps"])
-    assert found["sensors"]["scale"].endswith("(10 of 12)")
+    assert arrays["step"][-1] == steps
+    assert len(found["run"]["rows"]) == min(n, 60)
+    assert len(arrays["belief"]) == len(arrays["step"])
+    assert found["run"]["sensors"]["scale"].endswith("(10 of 12)")
 
 
 def test_the_suffix_says_what_is_saved(tmp_path):

@@ -78,7 +78,8 @@ def test_beliefs_do_not_depend_on_the_records_offset():
     for by in (0, offset):
         records = Records.from_sequences([walk + by for walk in walks], commands)
         assert any(records.offset) == np.any(by)
-        seen.append(again.beliefs(records, params, Options("own_tau"), walks[0] + by))
+        of = again.Beliefs(records, params, Options("own_tau"))
+        seen.append([of(z) for z in walks[0] + by])
     np.testing.assert_allclose(seen[1], seen[0], atol=1e-5)
 
 
@@ -88,7 +89,7 @@ def test_a_run_is_labelled_with_the_studys_values(monkeypatch, records, trace):
     config = StudyConfig(axes, fixed, positions=positions, repeats=2)
     given = []
 
-    def trace_of(world, records, params, worlds, how, seed, options, controller):
+    def trace_of(world, records, params, worlds, how, seed, options, controller, follow):
         given.append((float(params.theta_i[0]), options["cube"][0, :2].tolist()))
         return trace
 
