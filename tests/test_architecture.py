@@ -35,10 +35,11 @@ MAY_IMPORT = {
     "plane": {"errors"},
     "recordings": GROUND | {"records", "params", "filter", "loop"},
     "study": GROUND | {"records", "params", "filter", "loop", "plane", "recordings"},
-    "page": {"plane", "study.dataset", "figures"},
+    "page": {"records", "plane", "study.dataset", "figures"},
+    "explore": GROUND | {"records", "plane", "loop", "study", "figures", "page"},
     "pictures": {"errors", "records", "recordings", "study", "figures", "page"},
     "figures": {"records", "params", "plane", "recordings", "study.dataset"},
-    "cli": GROUND | {"params", "records", "recordings", "study", "figures", "pictures"},
+    "cli": GROUND | {"params", "records", "recordings", "study", "figures", "pictures", "explore"},
     "": {
         "filter",
         "loop",

@@ -12,7 +12,7 @@ import warnings
 from collections.abc import Sequence
 from io import TextIOWrapper
 
-from jaxreplay.cli import inspect, list, new, plot, run, show, tune, watch
+from jaxreplay.cli import explore, inspect, list, new, plot, run, show, tune, watch
 from jaxreplay.errors import ConfigError
 
 DONE, MISTAKE = 0, 2
@@ -57,7 +57,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action=_Version)
     parser.set_defaults(action=None)
     commands = parser.add_subparsers(metavar="command")
-    for command in (new, run, list, show, plot, watch, tune, inspect):
+    for command in (new, run, list, show, plot, watch, explore, tune, inspect):
         command.add_to(commands)
     return parser
 

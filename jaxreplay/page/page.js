@@ -253,7 +253,140 @@ const again = () => { painted = 0; show(t); };
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", again);
 new ResizeObserver(again).observe(document.body);
 
-if (about.run) (async () => {
+// Explore: the server tells what there is, and sends runs; the page asks.
+let hello = null, values = {}, socket = null, later = 0;
+const aside = document.querySelector("aside"), tabs = [...document.querySelectorAll("nav button")];
+const ask = (what, more = {}) => socket.send(JSON.stringify({ do: what, ...more }));
+const said = make("p", { id: "said" });
+const say = (text) => { said.textContent = text; };
+function connect() {
+  let done = Promise.resolve();
+  socket = new WebSocket(location.href.replace(/^http/, "ws") + "live");
+  socket.onmessage = ({ data }) => { done = done.then(() => receive(JSON.parse(data))); };
+  socket.onclose = () => say("The server has ended: start jaxreplay explore again.");
+}
+async function receive(message) {
+  if (message.kind === "hello") {
+    [hello, values] = [message, message.values];
+    for (const tab of tabs) tab.hidden = (tab.textContent === "Study" && !hello.study) ||
+      (tab.textContent === "Drive" && !hello.keys);
+    enter(hello.study ? "Study" : "Ask");
+  } else if (message.kind === "values") values = message.values;
+  else if (message.kind === "run") {
+    [playing, growing] = [false, true];
+    say(""); await prepare(message.run);
+  } else if (message.kind === "steps") {
+    const uris = message.pictures.map((uri) => make("img", { src: uri }));
+    const [steps] = await Promise.all([unpack(message.data), ...uris.map((image) => image.decode())]);
+    pictures.push(...uris); frames.push(...steps);
+    if (!run.rows.length) show(last()); // driven: there is nothing to wait for
+    else if (frames.length === steps.length) play(true);
+    else $("scrubber").max = last();
+  } else if (message.kind === "end") {
+    [growing, ending] = [false, message.ending];
+    say(message.note); show(t);
+  } else if (message.kind === "say") say(message.text);
+}
+function enter(name) {
+  if (mode === "Drive") ask("stop");
+  mode = name;
+  for (const tab of tabs) tab.classList.toggle("chosen", tab.textContent === name);
+  aside.replaceChildren(...{ Study: studyView, Ask: askView, Drive: driveView }[name](), said);
+  say("");
+  if (name === "Ask" && !frames.length) ask("ask", { values });
+}
+for (const tab of tabs) tab.onclick = () => enter(tab.textContent);
+
+function studyView() {
+  const { rows, columns, cells, meanings } = hello.study, chosen = make("div");
+  const open = ({ text, first, outcomes }, title) => chosen.replaceChildren(
+    make("p", {}, make("b", {}, title)), make("p", {}, text),
+    make("div", { className: "runs" }, ...outcomes.map((code, k) => make("button", {
+      className: code, textContent: code || "–", title: `run ${first + k}`, onclick: () => ask("play", { run: first + k }),
+    }))));
+  const shade = (cell, title) => {
+    const button = make("button", { title: `${title}: ${cell.text}`, onclick: () => open(cell, title) });
+    if (cell.success === null) return button;
+    button.textContent = Math.round(100 * cell.success);
+    button.style.background = `color-mix(in srgb, var(--ink) ${85 * cell.success}%, var(--back))`;
+    button.style.color = cell.success > 0.5 ? "var(--back)" : "var(--ink)";
+    return button;
+  };
+  const heads = columns.map((text) => make("th", {}, make("span", {}, text)));
+  const table = make("table", {}, make("tr", {}, make("th"), ...heads), ...rows.map((row, i) =>
+    make("tr", {}, make("th", {}, row), ...cells[i].map((cell, j) =>
+      make("td", {}, shade(cell, [row, columns[j]].filter(Boolean).join(", ")))))));
+  const legend = Object.entries(meanings).map(([code, text]) => `${code}: ${text}`).join(" · ");
+  return [make("p", {}, `${hello.folder}: success, %; click a cell, then a run`),
+    make("div", { className: "table" }, table), chosen, make("p", { className: "keys" }, legend)];
+}
+function askView() {
+  const again = () => { clearTimeout(later); later = setTimeout(() => ask("ask", { values }), 200); };
+  const fields = hello.controls.map(({ name, label, range, log, choices }) => {
+    const shown = make("output");
+    let input;
+    if (choices) {
+      input = make("select", {}, ...choices.map((value) => make("option", {}, `${value}`)));
+      input.selectedIndex = choices.indexOf(values[name]);
+      input.onchange = () => { values[name] = choices[input.selectedIndex]; again(); };
+    } else {
+      const [min, max, step] = range;
+      input = make("input", { type: "range", min, max, step });
+      input.value = log ? Math.log10(values[name]) : values[name];
+      const tell = () => { shown.textContent = (+values[name]).toPrecision(2).replace(/\.?0+$/, ""); };
+      input.oninput = () => { values[name] = log ? 10 ** input.value : +input.value; tell(); again(); };
+      tell();
+    }
+    input.name = name;
+    return make("label", {}, label, input, shown);
+  });
+  const number = make("input", { type: "number", min: 0, value: values.repeat, name: "repeat" });
+  number.onchange = () => { values.repeat = Math.max(0, Math.round(number.value)); again(); };
+  const hint = values.cube ? "Drag the cube to put it elsewhere. " : "";
+  return [...fields, make("label", {}, "repeat: other noise", number, make("output")),
+    make("p", { className: "keys" }, `${hint}A change starts the run anew.`)];
+}
+function driveView() {
+  const name = make("input", { type: "text", placeholder: "name", name: "name" });
+  const order = (what) => () => ask("order", { order: what });
+  return [make("p", {}, "Demonstrate how to fetch the cube; what you do is what is replayed."),
+    make("p", { className: "keys" }, hello.keys),
+    make("p", {}, make("button", { onclick: () => { document.activeElement.blur(); ask("drive"); } }, "Start"),
+      " ", make("button", { onclick: order("keep") }, "Keep"), " ", make("button", { onclick: order("discard") }, "Discard")),
+    make("p", {}, name, " ", make("button", { onclick: () => ask("save", { name: name.value }) }, "Save all kept"))];
+}
+const down = new Set();
+for (const kind of ["keydown", "keyup"]) addEventListener(kind, (event) => {
+  if (mode !== "Drive" || event.target.type === "text") return;
+  event.preventDefault();
+  if (event.repeat) return;
+  if (kind === "keydown") down.add(event.key); else for (const key of [...down]) {
+    if (key.toLowerCase() === event.key.toLowerCase()) down.delete(key); // shift may have changed
+  }
+  ask("keys", { keys: [...down], pressed: kind === "keydown" ? [event.key] : [] });
+  const order = { Enter: "keep", Backspace: "discard" }[event.key];
+  if (order && kind === "keydown") ask("order", { order });
+});
+addEventListener("blur", () => { down.clear(); if (mode === "Drive") ask("keys", { keys: [], pressed: [] }); });
+const world = $("world").querySelector("canvas");
+world.onpointerdown = (event) => {
+  if (mode !== "Ask" || !frames.length || !run.plane) return;
+  const [x, y] = place(event.offsetX, event.offsetY), [cx, cy] = frames[t].cube;
+  if (Math.hypot(x - cx, y - cy) > run.plane.side) return;
+  seek(0); world.setPointerCapture(event.pointerId);
+  world.onpointermove = (moved) => { dragged = [...place(moved.offsetX, moved.offsetY), 0]; drawWorld(); };
+  world.onpointerup = () => {
+    world.onpointermove = world.onpointerup = null;
+    if (dragged) { values.cube = dragged.slice(0, 2); ask("ask", { values }); }
+    dragged = null;
+  };
+};
+
+if (!about.run) {
+  for (const id of ["nav", "aside"]) document.querySelector(id).hidden = false;
+  document.body.classList.add("explore");
+  aside.append(said); say("starting …"); connect();
+} else (async () => {
   setSpeed(speeds.filter((s) => s < about.speed).length);
   const steps = await unpack(about.data);
   await prepare(about.run);

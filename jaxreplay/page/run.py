@@ -23,7 +23,7 @@ MOST_BYTES = 3_000_000  # of a page
 _STEPS = 2000  # that are stored at most, evenly spaced over the run
 _BIN = 4  # moments τ whose probabilities are added up in one pixel of the belief
 _COLUMNS = 240  # of the belief at most
-_ROWS = 60  # records that are shown at most: those that are ever most probable
+MOST_ROWS = 60  # records that are shown at most: those that are ever most probable
 _CURVES = 10  # sensors, or commands, that are drawn at most
 _PICTURE = 420  # width of an environment's pictures at most, pixels
 _CLEARLY = 2.0  # times as probable as the record followed is one that is followed instead
@@ -48,9 +48,18 @@ def page(run: Trace, speed: float = 4.0) -> str:
 def _page(run: Trace, speed: float, apart: int) -> str:
     """Return the page with the last step, and each that is a multiple of `apart` before it."""
     chosen = np.arange(len(run.commands))[::-1][::apart][::-1]
-    about, arrays = described(run), steps_of(run, chosen)
+    shares = run.beliefs.sum(axis=2)
+    rows = np.sort(np.argsort(-shares.max(axis=0), kind="stable")[:MOST_ROWS])
+    about, arrays = (
+        described(run, rows, run.observations, run.commands),
+        steps_of(run, chosen, rows),
+    )
+    about["end"] = about["period"] * len(run.commands)
+    followed = Followed()
+    jumps = [t for t, p in enumerate(shares) if followed.jumps(p)]
+    arrays["jump"] = np.isin(np.arange(len(chosen)), np.searchsorted(chosen, jumps))
     if isinstance(run.scene, Pictures):
-        reduced = [_reduced(run.scene.files[t]) for t in chosen]
+        reduced = [reduced_picture(run.scene.files[t]) for t in chosen]
         about["pictures"] = list(dict.fromkeys(reduced))
         arrays["shown"] = np.array([about["pictures"].index(uri) for uri in reduced])
     return html(about, data=packed(arrays), ending=run.ending, speed=speed)
@@ -69,8 +78,17 @@ def html(run: dict[str, Any] | None, **more: Any) -> str:
     )
 
 
-def described(run: Trace) -> dict[str, Any]:
-    """Return what the script has to know of a whole run, beside its steps."""
+def described(
+    run: Trace, rows: np.ndarray, observations: np.ndarray, commands: np.ndarray
+) -> dict[str, Any]:
+    """Return what the script has to know of a whole run, beside its steps.
+
+    Args:
+        run: the run, or its first step.
+        rows: the records that are shown.
+        observations: `[T, n_s]`, to whose ranges the sensors' curves are scaled.
+        commands: `[T, n_u]`, likewise.
+    """
     values = ", ".join(f"{symbol} {short(value)}" for symbol, value in run.values.items())
     names = run.records.sensor_names, run.records.command_names
     params = run.scene.params if isinstance(run.scene, PlaneScene) else None
@@ -78,12 +96,12 @@ def described(run: Trace) -> dict[str, Any]:
     return {
         "title": values or "a run",
         "place": run.place,
-        **timing(run.records, run.period, _rows(run.beliefs.sum(axis=2))),
-        "end": (run.period or 1) * len(run.commands),
+        **timing(run.records, run.period, rows),
+        "end": (run.period or 1) * run.records.longest,
         "whose": "followed:" if drove else "a filter, which did not drive, would follow:",
         "plane": params and drawn_with(params),
-        "sensors": curves(run.observations, names[0]),
-        "commands": curves(run.commands, names[1], params),
+        "sensors": curves(observations, names[0]),
+        "commands": curves(commands, names[1], params),
         "pictures": [],
     }
 
@@ -101,16 +119,13 @@ def timing(records: Records, period: float | None, rows: np.ndarray) -> dict[str
     }
 
 
-def steps_of(run: Trace, chosen: np.ndarray) -> dict[str, np.ndarray]:
-    """Return belief, sensors, commands and poses of some steps of a run, as they are drawn."""
-    shares = run.beliefs.sum(axis=2)
-    jumped = np.searchsorted(chosen, jumps(shares))
+def steps_of(run: Trace, chosen: np.ndarray, rows: np.ndarray) -> dict[str, np.ndarray]:
+    """Return some steps of a run as they are drawn: beliefs of some records, and all the rest."""
     arrays = {
         "step": chosen + 1,
-        "jump": np.isin(np.arange(len(chosen)), jumped),
         "sensors": run.observations[chosen, :_CURVES],
         "commands": run.commands[chosen, :_CURVES],
-        **belief_arrays(run.beliefs[chosen][:, _rows(shares)], run.period),
+        **belief_arrays(run.beliefs[chosen][:, rows], run.period),
     }
     if isinstance(run.scene, PlaneScene):
         pose = Pose(*(each[chosen] for each in run.scene[:4]))
@@ -118,22 +133,19 @@ def steps_of(run: Trace, chosen: np.ndarray) -> dict[str, np.ndarray]:
     return arrays
 
 
-def jumps(shares: np.ndarray) -> list[int]:
-    """Return the steps at which another record is followed than before, by p(I) `[T, N]`.
+class Followed:
+    """The record that is followed: until another one is `_CLEARLY` times as probable."""
 
-    A record is followed until another one is `_CLEARLY` times as probable.
-    """
-    followed, found = int(shares[0].argmax()), []
-    for t, p in enumerate(shares):
-        if p.max() >= _CLEARLY * p[followed] and p.argmax() != followed:
-            followed = int(p.argmax())
-            found.append(t)
-    return found
+    def __init__(self):
+        """Follow none yet."""
+        self._record: int | None = None
 
-
-def _rows(shares: np.ndarray) -> np.ndarray:
-    """Return the records that are shown, in order: the `_ROWS` with the largest p(I) in the run."""
-    return np.sort(np.argsort(-shares.max(axis=0), kind="stable")[:_ROWS])
+    def jumps(self, p: np.ndarray) -> bool:
+        """Take in p(I) `[N]` of the next step, and return whether another record is followed."""
+        before = self._record
+        if before is None or p.max() >= _CLEARLY * p[before]:
+            self._record = int(p.argmax())
+        return before not in (None, self._record)
 
 
 def _wide(longest: int) -> int:
@@ -193,7 +205,7 @@ def beams(params: PlaneParams, pose: Pose) -> np.ndarray:
     return np.stack([x, y, x + length * np.cos(angle), y + length * np.sin(angle)], axis=2)
 
 
-def _reduced(encoded: bytes) -> str:
+def reduced_picture(encoded: bytes) -> str:
     """Return a picture as the address of a JPEG of `_PICTURE` pixels at most."""
     picture = Image.open(BytesIO(encoded)).convert("RGB")
     picture.thumbnail((_PICTURE, _PICTURE))

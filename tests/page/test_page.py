@@ -3,7 +3,6 @@
 import io
 import json
 import re
-import shutil
 from base64 import b64decode
 from gzip import decompress
 
@@ -13,14 +12,13 @@ from PIL import Image
 from trace_helpers import STEPS, trace
 
 from jaxreplay.errors import ConfigError
-from jaxreplay.page.run import MOST_BYTES, beams, jumps, page
+from jaxreplay.page.run import MOST_BYTES, Followed, beams, page
 from jaxreplay.pictures import Watched
 from jaxreplay.plane.drawing import Scene
 from jaxreplay.plane.sensors import Pose
 from jaxreplay.records import Records
 from jaxreplay.study.dataset import Pictures, Trace
 
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 SAFE = "own </script><b>&"
 
 
@@ -87,7 +85,8 @@ def test_beams_are_those_of_the_other_pictures():
 
 def test_a_jump_is_to_a_record_twice_as_probable_as_the_one_followed():
     shares = np.array([[0.6, 0.4], [0.4, 0.6], [0.3, 0.7], [0.5, 0.5], [0.65, 0.35], [0.7, 0.3]])
-    assert jumps(shares) == [2, 5]
+    followed = Followed()
+    assert [followed.jumps(p) for p in shares] == [False, False, True, False, False, True]
 
 
 @pytest.mark.parametrize(("steps", "n", "longest"), [(5000, 8, 90), (700, 80, 500)])
@@ -112,17 +111,6 @@ def test_the_suffix_says_what_is_saved(tmp_path):
     with pytest.raises(ConfigError, match=r"run\.mp4: its name must end in \.html for a page"):
         watched.save(tmp_path / "run.mp4")
     assert watched._repr_html_().startswith('<iframe srcdoc="&lt;!doctype html&gt;')
-
-
-@pytest.fixture(scope="module")
-def browser():
-    if CHROMIUM is None:
-        pytest.skip("needs Chromium (apt-get install chromium)")
-    sync = pytest.importorskip("playwright.sync_api", reason="needs playwright (pip)")
-    with sync.sync_playwright() as playwright:
-        started = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
-        yield started
-        started.close()
 
 
 @pytest.fixture(params=["plane", "pictures", "numbers"])
