@@ -36,7 +36,7 @@ CHANGES: dict[str, list[str]] = {
     "motor unit 0.25 cm/s": ["motor_unit=0.0025"],
     "no track bias": ["track_bias=0"],
     "every run alike": ALIKE,
-    "taught by another's motor": [*ALIKE, "motor_unit=0.01", "taught=nominal"],
+    "taught by a finer motor": [*ALIKE, "motor_unit=0.01", "taught=nominal"],
     "σ 0.03": ["sigma=0.03"],
     "σ 0.3": ["sigma=0.3"],
     "no sensor noise": ["sensor_noise=0"],

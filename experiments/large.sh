@@ -45,7 +45,7 @@ at 2 3 "$five" sigma
 at 2 3 "$five" noise
 
 # Other controllers: against the track bias; in the default world, with fewer records or a push.
-study rivals
+study rivals --set "axis.track_bias=[0.0,0.12]"
 few='axis.controller=["filter","tape","nearest_timed","cloning"]'
 suffix=_records
 study rivals --set track_bias=0.12 --set "$few" --set "axis.records=[2,4,6,10,20]"

@@ -2,7 +2,8 @@
 
     python experiments/sets.py results/large/theta_i --out theta_i_sets.png
 
-draws success against θ_I, for each set and the mean over sets. The functions serve other scripts.
+draws success against θ_I, for each set and the mean over sets; or against another axis, a line for
+each controller. The functions serve other scripts.
 
 Runs that replay the same demonstrations resemble each other, so an interval of runs alone is too
 narrow for a statement about demonstrations in general. Here the unit is the set.
@@ -14,18 +15,26 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 import xarray as xr
+from matplotlib.axes import Axes
 from scipy.stats import t
 
 import jaxreplay as jr
 from jaxreplay.figures.outcomes import tick_text
 from jaxreplay.figures.table import paired, wilson
 
+ACROSS = {  # axes that are drawn from left to right
+    "theta_i": "θ_I",
+    "records": "demonstrations, drawn from 20",
+    "push": "push on the way",
+    "track_bias": "track bias",
+}
+
 
 def main():
     """Draw the figure."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("folder", type=Path, help="of large.sh, with a study for each seed")
-    parser.add_argument("--out", type=Path, default=Path("results/theta_i_sets.png"))
+    parser.add_argument("--out", type=Path, default=Path("results/sets.png"))
     options = parser.parse_args()
     figure(open_sets(options.folder), options.out)
     print(options.out)
@@ -116,33 +125,56 @@ def number(value: tuple[float, float, float], digits: int = 1) -> str:
 
 
 def figure(study: xr.Dataset, path: Path) -> None:
-    """Draw success against θ_I, a panel for each reading of a jump."""
-    values = study.theta_i.values
-    jumps = study.jump.values
+    """Draw success against the study's first axis of numbers.
+
+    Each reading of a jump has a panel, with the sets of demonstrations; or each controller a line.
+    """
+    axis = next(str(dim) for dim in study.outcome.dims if dim in ACROSS)
+    jumps = np.atleast_1d(study.jump.values)
     with plt.rc_context({"font.size": 8, "axes.spines.top": False, "axes.spines.right": False}):
         drawn, panels = plt.subplots(
             1, len(jumps), figsize=(4 * len(jumps), 2.6), sharey=True, layout="constrained",
             squeeze=False,
         )  # fmt: skip
         for axes, jump in zip(panels[0], jumps, strict=True):
-            runs = study.sel(jump=jump)
-            cells = [runs.isel(theta_i=k) for k in range(len(values))]
-            mean, low, high = 100 * np.clip([success(cell) for cell in cells], 0, 1).T
-            sets = 100 * np.array([by_set(won(cell)) for cell in cells])
-            axes.plot(sets, color="0.75", lw=0.7)
-            axes.errorbar(
-                range(len(values)), mean, [mean - low, high - mean], fmt="o-", color="black",
-                capsize=2, markersize=3,
-            )  # fmt: skip
+            runs = study.sel(jump=jump) if "jump" in study.dims else study
+            if "controller" in study.dims:
+                names = study.controller.values
+                for k, name in enumerate(names):
+                    style = {
+                        "color": f"C{k}",
+                        "fmt": "os^vDPX"[k],
+                        "ls": ("-", "--", ":", "-.")[k % 4],
+                    }
+                    line(axes, runs.sel(controller=name), axis, name, (k - 1.5) / 15, **style)
+                continue
+            each = [by_set(won(runs.isel({axis: k}))) for k in range(runs.sizes[axis])]
+            axes.plot(100 * np.array(each), color="0.75", lw=0.7)
             axes.plot([], [], color="0.75", lw=0.7, label="each set of demonstrations")
-            axes.plot([], [], "o-", color="black", markersize=3, label="mean, 95 % over sets")
-            ticks = [tick_text("theta_i", v) for v in values]
-            axes.set_xticks(range(len(values)), ticks, fontsize=7)
-            axes.set(xlabel="θ_I", title=jump, ylim=(-3, 103))
+            line(axes, runs, axis, "mean, 95 % over sets", color="black", fmt="o-")
+            axes.set_title(jump)
+        for axes in panels[0]:
+            values = study[axis].values
+            ticks = [tick_text(axis, v).removesuffix(" drawn") for v in values]
+            axes.set_xticks(range(len(ticks)), ticks, fontsize=7)
+            unit = study[axis].attrs.get("units", "1")
+            axes.set(xlabel=ACROSS[axis] + (f", {unit}" if unit != "1" else ""), ylim=(-3, 103))
         panels[0, 0].set_ylabel("success, %")
-        panels[0, -1].legend(frameon=False, loc="lower right")
+        beside = {"loc": "upper left", "bbox_to_anchor": (1, 1)}
+        place = beside if "controller" in study.dims else {"loc": "lower right"}
+        panels[0, -1].legend(frameon=False, **place)
         drawn.savefig(path, dpi=150)
         plt.close(drawn)
+
+
+def line(axes: Axes, runs: xr.Dataset, axis: str, label: str, aside: float = 0.0, **style) -> None:
+    """Draw success along an axis, with intervals over sets."""
+    each = [success(runs.isel({axis: k})) for k in range(runs.sizes[axis])]
+    mean, low, high = 100 * np.clip(each, 0, 1).T
+    axes.errorbar(
+        np.arange(len(mean)) + aside, mean, [mean - low, high - mean], capsize=2, markersize=3,
+        label=label, **style,
+    )  # fmt: skip
 
 
 if __name__ == "__main__":
