@@ -5,6 +5,9 @@ Registers `Line-v0`, so that `"line_world:Line-v0"` can be made.
 
 import gymnasium
 import numpy as np
+from study_helpers import write
+
+from jaxreplay.records import Records
 
 LINE = """
 environment = "line_world:Line-v0"
@@ -53,6 +56,16 @@ class Line(gymnasium.Env):
         picture = np.full((60, 100, 3), 255, np.uint8)
         picture[25:35, int(np.clip(80 * self.x, 0, 99))] = 0
         return picture
+
+
+def of_line(folder):
+    """The file of a study on a line, with two demonstrations that end at rest beyond its goal."""
+    steps = np.hstack([np.full(12, 0.1), np.zeros(20)])[:, None]
+    x = np.cumsum(steps, axis=0)
+    sensors = [np.hstack([at, np.full_like(at, 7.0)]) for at in (x, x + 0.005)]
+    records = Records.from_sequences(sensors, [steps, steps], ["x", "seven"], ["dx"])
+    records.save(folder / "line.npz")
+    return write(folder, LINE, "line.toml")
 
 
 gymnasium.register("Line-v0", lambda **how: Line(**how), max_episode_steps=60)

@@ -21,8 +21,10 @@ TRACKS = {
     "arrowup": (3, 3), "arrowdown": (-3, -3), "arrowleft": (-1, 1), "arrowright": (1, -1),
 }  # fmt: skip
 GRIPPER, SCAN, MAGNET, SLOW = "r", "t", "m", "shift"  # each press of the first three switches
+ORDERS = {"enter": "keep", "backspace": "discard"}
+USED = (*TRACKS, GRIPPER, SCAN, MAGNET, SLOW, *ORDERS)
 KEYS = (
-    "w, s or ↑, ↓: ahead, back · a, d or ←, →: turn · shift: a third as fast · r: gripper up, down "
+    "w, s or ↑, ↓: ahead, back · a, d or ←, →: turn · shift: slowly · r: gripper up, down "
     "· t: scan, grasp · m: magnet · enter: keep · backspace: discard"
 )
 REST = 10  # samples at rest that end a demonstration, as a replay ends within a record's last 10
@@ -51,6 +53,7 @@ class Driver:
         """Take in the keys that are down, and those that were just pressed."""
         self._keys = {f"{key}".lower() for key in keys}
         for key in pressed:
+            self._order = ORDERS.get(f"{key}".lower(), self._order)
             if (name := f"{key}".lower()) in self._switches:
                 self._switches[name] = not self._switches[name]
 
@@ -72,8 +75,10 @@ class Driver:
         rows: list[tuple[np.ndarray, np.ndarray]] = []
         self._send({"kind": "run", "run": self._about()})
         due, rest = monotonic(), REST
-        while go() and self._order != "discard" and rest and not env.resting[0]:
+        while rest and not env.resting[0]:
             ends = self._order == "keep"
+            if self._order == "discard" or not (go() or ends):
+                break
             rest -= ends
             command = self.command(at_rest=ends)
             observation, *_ = env.step(command[None])
@@ -92,8 +97,15 @@ class Driver:
             sensors, commands = zip(*rows, strict=True)
             self.kept.append((np.array(sensors), np.array(commands)))
         lifted = "lifted" if env.lifted[0] else "not lifted"
-        how = "kept" if rest == 0 else "discarded" if go() else "stopped"
-        self._send({"kind": "end", "ending": f"{how}, the cube is {lifted}", "note": self.state()})
+        how = "kept" if rest == 0 else "discarded" if self._order == "discard" else "stopped"
+        if rest and env.resting[0]:
+            how = (
+                "discarded: it left the area" if env.outside[0] else "discarded: 3 minutes are over"
+            )
+        ending, kept = f"{how}, the cube is {lifted}", len(self.kept)
+        self._send(
+            {"kind": "end", "ending": ending, "note": f"{how}; {self.state()}", "kept": kept}
+        )
 
     def command(self, at_rest: bool = False) -> np.ndarray:
         """Return the command of the keys that are down: `[5]`, as of the plane's actions."""
@@ -101,7 +113,7 @@ class Driver:
         tracks = np.zeros(2)
         if not at_rest:
             tracks = sum((np.array(TRACKS[key]) for key in self._keys & TRACKS.keys()), tracks)
-        units = np.rint(tracks / 3) if SLOW in self._keys else tracks
+        units = np.sign(tracks) * np.ceil(np.abs(tracks) / 3) if SLOW in self._keys else tracks
         down, scan, on = self._switches.values()
         hand = [p.low if down else p.high, p.scanning_tilt if scan else 0.0, float(on)]
         return np.array([*(units * p.motor_unit), *hand])
@@ -129,8 +141,8 @@ class Driver:
         records = Records.from_sequences(sensors, commands, SENSOR_NAMES, COMMAND_NAMES, period)
         records.save(path)
         return (
-            f"saved {len(self.kept)} in {path}: jaxreplay inspect {path}; jaxreplay run "
-            f"experiments/theta_i.toml --set demonstrations={path} --out results/{name}"
+            f"saved {len(self.kept)} in {path}: jaxreplay inspect {path}; jaxreplay new theta_i; "
+            f"jaxreplay run theta_i.toml --set demonstrations={path} --out results/{name}"
         )
 
     def _about(self) -> dict[str, Any]:

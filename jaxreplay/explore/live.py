@@ -22,6 +22,7 @@ from jaxreplay.records import Records
 from jaxreplay.study.again import Step, run_again
 from jaxreplay.study.config import StudyConfig
 from jaxreplay.study.dataset import Pictures, Trace
+from jaxreplay.study.factors import sigma_factors
 from jaxreplay.study.runs import Demonstrations, runs_of
 
 _APART = 0.03  # s between two messages at least
@@ -30,32 +31,38 @@ _NEEDS = {"cloning": "sklearn", "regression": "gmr"}  # packages of an extra
 Send = Callable[[dict[str, Any]], None]
 
 
-class CancelledError(Exception):
+class CancelledError(BaseException):  # no error of an environment, so not caught as one
     """Another run was asked for."""
 
 
-def controls(config: StudyConfig) -> list[dict[str, Any]]:
-    """Return what can be changed of a run: each with its name, label, and range or choices."""
+def controls(config: StudyConfig, values: dict[str, Any]) -> list[dict[str, Any]]:
+    """Return what can be changed of a run: each with its name, label, and range or choices.
+
+    Args:
+        config: the study, whose own values can be chosen too.
+        values: of a run, see :func:`values_of`.
+    """
 
     def slider(name: str, label: str, low: float, high: float, step: float, log: bool = False):
+        if log and (own := [value for value in config.values_of(name) if value]):
+            low = min(low, float(np.floor(np.log10(min(own)))))
         return {"name": name, "label": label, "range": [low, high, step], "log": log}
 
-    def choice(name: str, label: str, *values: Any):
-        return {"name": name, "label": label, "choices": values}
+    def choice(name: str, label: str, *usual: Any):
+        choices = list(dict.fromkeys([*usual, *config.values_of(name)]))
+        return {"name": name, "label": label, "choices": choices}
 
     drivers = [name for name in CONTROLLERS if find_spec(_NEEDS.get(name, "numpy"))]
+    given = {name for name, value in values.items() if value is not None}
+    sensors, factors = config.world.sensor_names or (), config.world.factors
+    sigmas = list(dict.fromkeys(sigma_factors(given, sensors, config.world.groups))) or ["sigma"]
     found = [
         slider("theta_i", "θ_I", -6, 0, 0.25, log=True),
         slider("theta_tau", "θ_τ", 0, 0.5, 0.01),
-    ]
-    if config.environment is not None:
-        found.append(slider("sigma", "σ, share of range", -2.5, 1, 0.1, log=True))
-    else:
-        found += [
-            slider("sigma_camera", "σ camera, share of range", -2.5, 1, 0.1, log=True),
-            slider("sigma_proximeters", "σ proximeters, share", -2.5, 1, 0.1, log=True),
-        ]
-    found += [
+        *(
+            slider(name, f"{factors[name].symbol}, share", -2.5, 1, 0.1, log=True)
+            for name in sigmas
+        ),
         choice("jump", "reading of a jump", "own_tau", "same_tau"),
         choice("controller", "controller", *drivers),
     ]
@@ -104,8 +111,9 @@ def asked(config: StudyConfig, values: dict[str, Any]) -> tuple[StudyConfig, int
         x, y = values["cube"]
         positions[position] = float(x), float(y)
     one = replace(
-        config, axes={}, zip=(), fixed={**config.fixed, **factors}, positions=tuple(positions)
-    )
+        config, axes={}, zip=(), fixed={**config.fixed, **factors}, positions=tuple(positions),
+        repeats=max(config.repeats, repeat + 1),
+    )  # fmt: skip
     return one, position * one.repeats + repeat
 
 
@@ -139,7 +147,7 @@ def stream(
         part = _part(config, records, waiting)._replace(values={"controller": driver})
         if first:
             rows = np.arange(min(records.n_records, MOST_ROWS))
-            ranges = (np.concatenate(each) for each in records.sequences())
+            ranges = (np.concatenate(each) for each in records.sequences(filled=True))
             about = described(part, rows, *ranges) | {"title": title}
             send({"kind": "run", "run": about})
         arrays = steps_of(part, np.arange(len(waiting)), rows)

@@ -122,13 +122,16 @@ class _Live(WebSocketHandler, _Handler):
         except ValueError:
             return
         if isinstance(asked, dict):
-            self.session.receive(asked)
+            try:
+                self.session.receive(asked)
+            except (TypeError, ValueError):  # nothing that the page sends
+                self.close()
 
     def on_close(self) -> None:
         self.session.close()
 
     def _answer(self, message: dict) -> None:
         try:
-            self.write_message(json.dumps(message))
+            self.write_message(json.dumps(message, allow_nan=False))
         except WebSocketClosedError:
             self.session.close()

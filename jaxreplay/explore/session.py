@@ -1,6 +1,7 @@
 """One open page: what it asks for is done one after the other, in a thread of its own."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from queue import Queue
 from threading import Thread
@@ -11,10 +12,14 @@ import xarray as xr
 
 from jaxreplay.errors import ConfigError
 from jaxreplay.explore.cells import picture
-from jaxreplay.explore.drive import KEYS, Driver
+from jaxreplay.explore.drive import KEYS, USED, Driver
 from jaxreplay.explore.live import CancelledError, asked, controls, stream, titled, values_of
 from jaxreplay.machine import keep_compiled
+from jaxreplay.plane.options import SETTINGS
+from jaxreplay.plane.params import PlaneParams
+from jaxreplay.plane.positions import CUBE_X, CUBE_Y
 from jaxreplay.records import Records
+from jaxreplay.study.again import taught_in
 from jaxreplay.study.config import StudyConfig
 from jaxreplay.study.demonstrations import demonstrations
 from jaxreplay.study.open import config_of, open_study
@@ -52,7 +57,8 @@ class Session:
             self._driver.order(f"{message.get('order')}")
         elif what == "save" and self._driver:
             try:
-                self._say(self._driver.save(f"{message.get('name')}"))
+                told = self._driver.save(f"{message.get('name')}")
+                self._to_page({"kind": "saved", "text": told})
             except (ConfigError, OSError) as error:
                 self._say(f"{error}")
         elif what in ("ask", "play", "drive", "stop"):
@@ -72,7 +78,7 @@ class Session:
         keep_compiled()
         try:
             self._open()
-        except (ConfigError, OSError, ValueError) as error:
+        except Exception as error:  # of a user's environment, too
             self._say(f"{error}")
             return
         while True:
@@ -86,7 +92,9 @@ class Session:
             except CancelledError:
                 pass
             except Exception as error:  # of a user's environment or controller, too
-                self._say(f"{type(error).__name__}: {error}")
+                what = "" if isinstance(error, ConfigError) else f"{type(error).__name__}: "
+                if number == self._number:
+                    self._to_page({"kind": "end", "ending": "an error", "note": f"{what}{error}"})
 
     def _open(self) -> None:
         """Read the study, and tell the page what there is."""
@@ -95,14 +103,17 @@ class Session:
         if self._folder is not None:
             self._study = open_study(self._folder)
             self._config = config_of(self._study)
+        values = values_of(self._config, 0)
         self._to_page(
             {
                 "kind": "hello",
                 "study": None if self._study is None else picture(self._study),
                 "folder": f"{self._folder or ''}",
-                "controls": controls(self._config),
-                "values": values_of(self._config, 0),
+                "controls": controls(self._config, values),
+                "values": values,
+                "cubes": [CUBE_X, CUBE_Y],
                 "keys": KEYS if self._config.environment is None else None,
+                "drive": USED,
             }
         )
 
@@ -115,10 +126,9 @@ class Session:
                 self._to_page(message)
 
         if wish["do"] == "drive":
-            self._driver = self._driver or Driver(self._config.plane, self._to_page)
+            self._driver = self._driver or Driver(self._robot(), self._to_page)
             self._driver.demonstrate(go)
             return
-        self._driver_rests()
         if wish["do"] == "play":
             k = int(wish["run"])
             values = values_of(self._config, k)
@@ -131,16 +141,17 @@ class Session:
             run = stream(config, self._taught(config, k), k, "a run as asked for", send, go)
             send({"kind": "end", "ending": run.ending, "note": ""})
 
-    def _driver_rests(self) -> None:
-        if self._driver:
-            self._driver.press([], [])
+    def _robot(self) -> PlaneParams:
+        """Return the robot of the study's first run."""
+        values = values_of(self._config, 0)
+        return replace(self._config.plane, **{name: values[name] for name in SETTINGS})
 
     def _taught(self, config: StudyConfig, k: int) -> Demonstrations:
         """Return the records of a run; those of a robot that the study does not have are made."""
         one = runs_of(config).of(np.array([k]))
         robot = taught_by(config, one, 0)
         if not self._records and self._folder is not None:
-            self._records.update(demonstrations(self._config, self._folder))
+            self._records.update(taught_in(self._folder, self._config))
         if robot not in self._records:
             self._say("the teacher demonstrates with this robot …")
             self._records.update(demonstrations(config, MADE))

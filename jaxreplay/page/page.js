@@ -82,6 +82,7 @@ const records = () => ({ y: [-0.5, run.rows.length - 0.5], names: run.rows });
 
 let dragged = null, place = null; // the cube while it is dragged, and where a pixel is
 function drawWorld() {
+  if (!frames.length) return;
   if (pictures.length) {
     const shown = pictures[frames[t].shown[0]], { c, area } = panel("world", { x: [0, 1], y: [0, 1] });
     const k = Math.min(area.w / shown.width, area.h / shown.height);
@@ -129,7 +130,9 @@ function drawNow() {
 let stripes, painted; // p(I) of the steps so far, a column each
 function drawPast() {
   const { c, X, Y, area } = panel("past", { x: [0, end()], ...records(), label: `time, ${run.unit}` });
-  const N = run.rows.length, paper = stripes.getContext("2d");
+  const N = run.rows.length;
+  if (last() >= stripes.width) [stripes, painted] = [new OffscreenCanvas(2 * last(), N), 0];
+  const paper = stripes.getContext("2d");
   if (painted === 0) paper.clearRect(0, 0, stripes.width, N);
   if (painted <= last()) {
     const from = painted;
@@ -162,14 +165,13 @@ function drawCurves(id) {
 function show(step) {
   if (!frames.length) return;
   t = Math.max(0, Math.min(last(), step));
-  const { share, tau } = frames[t], digits = run.unit === "s" ? 1 : 0;
+  const { share, followed, tau } = frames[t], digits = run.unit === "s" ? 1 : 0;
   $("scrubber").max = last(); $("scrubber").value = t;
   $("play").textContent = playing ? "Pause" : "Play";
   $("clock").textContent = digits ? `${time(t).toFixed(1)} s` : `step ${time(t)}`;
   let reading = "";
   if (share) {
-    const k = share.indexOf(Math.max(...share));
-    reading = `${run.whose} record ${run.rows[k]} (${Math.round(share[k] / 655.35)} %) at `
+    reading = `${run.whose} record ${followed[0]} (${Math.round(100 * followed[1])} %) at `
       + `τ = ${tau[0].toFixed(digits)} ${run.unit}`;
   }
   if (t === last() && ending !== null) reading += `. End: ${ending}`;
@@ -188,7 +190,8 @@ async function prepare(described) {
   document.querySelector("header b").textContent = run.title;
   document.querySelector("header span").textContent = run.place;
   const caption = (id, text) => { $(id).querySelector("figcaption").textContent = text; };
-  caption("now", "belief p(I, τ) now (fourth root), by record I; bars: the records' ends");
+  const some = run.records > run.rows.length ? ` (${run.rows.length} of ${run.records})` : "";
+  caption("now", `belief p(I, τ) now (fourth root), by record I${some}; bars: the records' ends`);
   caption("past", "p(I) so far, by record I; marks: another record is twice as probable as the one before");
   caption("world", run.plane ? "the plane from above; to the left, cm" : "");
   for (const id of ["sensors", "commands"]) {
@@ -201,6 +204,9 @@ async function prepare(described) {
       into.append(" ", make("span", {}, mark, name));
     });
   }
+  arrange();
+}
+function arrange() { // which figures there are
   const { classList } = document.querySelector("main");
   classList.toggle("blind", !run.plane && !pictures.length);
   classList.toggle("driven", !run.rows.length);
@@ -239,13 +245,15 @@ const KEYS = {
 };
 let mode = null; // of explore
 addEventListener("keydown", (event) => {
-  if (event.ctrlKey || event.metaKey || event.altKey || event.target.type === "text") return;
+  const takers = `aside input, select${event.key === " " ? ", button" : ""}`; // of this key
+  if (event.ctrlKey || event.metaKey || event.altKey || event.target.closest?.(takers)) return;
   const way = { ArrowRight: 1, ArrowLeft: -1 }[event.key];
-  if (mode === "Drive" || !(way || KEYS[event.key])) return;
+  if (mode === "Drive" || !frames.length || !(way || KEYS[event.key])) return;
   event.preventDefault(); document.activeElement.blur();
   if (way) seek(t + way * (event.shiftKey ? 10 : 1)); else KEYS[event.key]();
 });
 for (const id of ["past", "sensors", "commands"]) $(id).querySelector("canvas").onclick = (event) => {
+  if (!frames.length) return;
   const wanted = (event.offsetX - LEFT) / (event.target.clientWidth - LEFT - RIGHT) * end();
   seek(frames.findLastIndex((_, k) => time(k) <= wanted));
 };
@@ -254,7 +262,7 @@ matchMedia("(prefers-color-scheme: dark)").addEventListener("change", again);
 new ResizeObserver(again).observe(document.body);
 
 // Explore: the server tells what there is, and sends runs; the page asks.
-let hello = null, values = {}, socket = null, later = 0;
+let hello = null, values = {}, socket = null, later = 0, driving = false, unsaved = false;
 const aside = document.querySelector("aside"), tabs = [...document.querySelectorAll("nav button")];
 const ask = (what, more = {}) => socket.send(JSON.stringify({ do: what, ...more }));
 const said = make("p", { id: "said" });
@@ -262,40 +270,51 @@ const say = (text) => { said.textContent = text; };
 function connect() {
   let done = Promise.resolve();
   socket = new WebSocket(location.href.replace(/^http/, "ws") + "live");
-  socket.onmessage = ({ data }) => { done = done.then(() => receive(JSON.parse(data))); };
+  socket.onmessage = ({ data }) => {
+    done = done.then(() => receive(JSON.parse(data))).catch((error) => say(`${error}`));
+  };
   socket.onclose = () => say("The server has ended: start jaxreplay explore again.");
 }
 async function receive(message) {
   if (message.kind === "hello") {
     [hello, values] = [message, message.values];
+    document.querySelector("nav").hidden = false;
     for (const tab of tabs) tab.hidden = (tab.textContent === "Study" && !hello.study) ||
       (tab.textContent === "Drive" && !hello.keys);
     enter(hello.study ? "Study" : "Ask");
-  } else if (message.kind === "values") values = message.values;
-  else if (message.kind === "run") {
+  } else if (message.kind === "values") {
+    values = message.values;
+    if (mode === "Ask") enter(mode);
+  } else if (message.kind === "run") {
     [playing, growing] = [false, true];
     say(""); await prepare(message.run);
   } else if (message.kind === "steps") {
     const uris = message.pictures.map((uri) => make("img", { src: uri }));
     const [steps] = await Promise.all([unpack(message.data), ...uris.map((image) => image.decode())]);
     pictures.push(...uris); frames.push(...steps);
+    arrange();
     if (!run.rows.length) show(last()); // driven: there is nothing to wait for
     else if (frames.length === steps.length) play(true);
     else $("scrubber").max = last();
   } else if (message.kind === "end") {
-    [growing, ending] = [false, message.ending];
+    [growing, ending, driving] = [false, message.ending, false];
+    unsaved ||= message.kept > 0;
     say(message.note); show(t);
+  } else if (message.kind === "saved") {
+    unsaved = false; say(message.text);
   } else if (message.kind === "say") say(message.text);
 }
 function enter(name) {
-  if (mode === "Drive") ask("stop");
+  clearTimeout(later);
+  if (driving) ask("stop");
   mode = name;
   for (const tab of tabs) tab.classList.toggle("chosen", tab.textContent === name);
   aside.replaceChildren(...{ Study: studyView, Ask: askView, Drive: driveView }[name](), said);
   say("");
-  if (name === "Ask" && !frames.length) ask("ask", { values });
+  if (name === "Ask" && !run?.rows.length) ask("ask", { values });
 }
-for (const tab of tabs) tab.onclick = () => enter(tab.textContent);
+for (const tab of tabs) tab.onclick = () => { if (tab.textContent !== mode) enter(tab.textContent); };
+addEventListener("beforeunload", (event) => { if (unsaved) event.preventDefault(); });
 
 function studyView() {
   const { rows, columns, cells, meanings } = hello.study, chosen = make("div");
@@ -332,8 +351,8 @@ function askView() {
     } else {
       const [min, max, step] = range;
       input = make("input", { type: "range", min, max, step });
-      input.value = log ? Math.log10(values[name]) : values[name];
-      const tell = () => { shown.textContent = (+values[name]).toPrecision(2).replace(/\.?0+$/, ""); };
+      input.value = log ? Math.log10(Math.max(values[name], 10 ** min)) : values[name];
+      const tell = () => { shown.textContent = `${+(+values[name]).toPrecision(2)}`; };
       input.oninput = () => { values[name] = log ? 10 ** input.value : +input.value; tell(); again(); };
       tell();
     }
@@ -351,21 +370,21 @@ function driveView() {
   const order = (what) => () => ask("order", { order: what });
   return [make("p", {}, "Demonstrate how to fetch the cube; what you do is what is replayed."),
     make("p", { className: "keys" }, hello.keys),
-    make("p", {}, make("button", { onclick: () => { document.activeElement.blur(); ask("drive"); } }, "Start"),
+    make("p", {}, make("button", { onclick: () => { document.activeElement.blur(); driving = true; ask("drive"); } }, "Start"),
       " ", make("button", { onclick: order("keep") }, "Keep"), " ", make("button", { onclick: order("discard") }, "Discard")),
     make("p", {}, name, " ", make("button", { onclick: () => ask("save", { name: name.value }) }, "Save all kept"))];
 }
 const down = new Set();
 for (const kind of ["keydown", "keyup"]) addEventListener(kind, (event) => {
-  if (mode !== "Drive" || event.target.type === "text") return;
-  event.preventDefault();
+  if (mode !== "Drive") return;
+  const typing = event.target.type === "text", meant = hello.drive.includes(event.key.toLowerCase());
+  if (kind === "keydown" && (typing || event.ctrlKey || event.metaKey || event.altKey || !meant)) return;
+  if (!typing && meant) event.preventDefault();
   if (event.repeat) return;
   if (kind === "keydown") down.add(event.key); else for (const key of [...down]) {
     if (key.toLowerCase() === event.key.toLowerCase()) down.delete(key); // shift may have changed
   }
   ask("keys", { keys: [...down], pressed: kind === "keydown" ? [event.key] : [] });
-  const order = { Enter: "keep", Backspace: "discard" }[event.key];
-  if (order && kind === "keydown") ask("order", { order });
 });
 addEventListener("blur", () => { down.clear(); if (mode === "Drive") ask("keys", { keys: [], pressed: [] }); });
 const world = $("world").querySelector("canvas");
@@ -374,16 +393,22 @@ world.onpointerdown = (event) => {
   const [x, y] = place(event.offsetX, event.offsetY), [cx, cy] = frames[t].cube;
   if (Math.hypot(x - cx, y - cy) > run.plane.side) return;
   seek(0); world.setPointerCapture(event.pointerId);
-  world.onpointermove = (moved) => { dragged = [...place(moved.offsetX, moved.offsetY), 0]; drawWorld(); };
-  world.onpointerup = () => {
-    world.onpointermove = world.onpointerup = null;
-    if (dragged) { values.cube = dragged.slice(0, 2); ask("ask", { values }); }
+  world.onpointermove = (moved) => {
+    const within = (v, [low, high]) => Math.max(low, Math.min(high, v));
+    const [u, v] = place(moved.offsetX, moved.offsetY);
+    dragged = [within(u, hello.cubes[0]), within(v, hello.cubes[1]), 0];
+    drawWorld();
+  };
+  world.onpointerup = world.onpointercancel = ({ type }) => {
+    world.onpointermove = world.onpointerup = world.onpointercancel = null;
+    if (dragged && type === "pointerup") { values.cube = dragged.slice(0, 2); ask("ask", { values }); }
     dragged = null;
+    show(t);
   };
 };
 
 if (!about.run) {
-  for (const id of ["nav", "aside"]) document.querySelector(id).hidden = false;
+  aside.hidden = false;
   document.body.classList.add("explore");
   aside.append(said); say("starting …"); connect();
 } else (async () => {

@@ -2,6 +2,7 @@
 
 import gzip
 import json
+import warnings
 from base64 import b64encode
 from collections.abc import Sequence
 from html import escape
@@ -115,6 +116,7 @@ def timing(records: Records, period: float | None, rows: np.ndarray) -> dict[str
         "unit": "s" if period else "steps",
         "taus": apart * _wide(records.longest) * -(-records.longest // _wide(records.longest)),
         "rows": rows.tolist(),
+        "records": records.n_records,
         "ends": (apart * lengths[rows]).tolist(),
     }
 
@@ -125,7 +127,7 @@ def steps_of(run: Trace, chosen: np.ndarray, rows: np.ndarray) -> dict[str, np.n
         "step": chosen + 1,
         "sensors": run.observations[chosen, :_CURVES],
         "commands": run.commands[chosen, :_CURVES],
-        **belief_arrays(run.beliefs[chosen][:, rows], run.period),
+        **belief_arrays(run.beliefs[chosen], rows, run.period),
     }
     if isinstance(run.scene, PlaneScene):
         pose = Pose(*(each[chosen] for each in run.scene[:4]))
@@ -153,22 +155,26 @@ def _wide(longest: int) -> int:
     return max(min(_BIN, longest // 20), -(-longest // _COLUMNS), 1)
 
 
-def belief_arrays(beliefs: np.ndarray, period: float | None) -> dict[str, np.ndarray]:
+def belief_arrays(
+    beliefs: np.ndarray, rows: np.ndarray, period: float | None
+) -> dict[str, np.ndarray]:
     """Return beliefs `[T, N, L]` as they are drawn: p(I), and the fourth root of p(I, τ).
 
     Probabilities are stored as 0 … 65535 and their roots as 0 … 255; of neighbouring moments the
-    sum. `tau` is the mean moment of the most probable record, in s.
+    sum. `followed` is the most probable record and its p(I), `tau` its mean moment.
     """
-    n_steps, n, longest = beliefs.shape
+    n_steps, _, longest = beliefs.shape
     width, shares = _wide(longest), beliefs.sum(axis=2)
     columns = -(-longest // width)
-    padded = np.pad(beliefs, ((0, 0), (0, 0), (0, columns * width - longest)))
-    summed = padded.reshape(n_steps, n, columns, width).sum(axis=3)
-    followed = beliefs[np.arange(n_steps), shares.argmax(axis=1)]
+    padded = np.pad(beliefs[:, rows], ((0, 0), (0, 0), (0, columns * width - longest)))
+    summed = padded.reshape(n_steps, len(rows), columns, width).sum(axis=3)
+    best = shares.argmax(axis=1)
+    of_best = beliefs[np.arange(n_steps), best]
     return {
-        "share": np.rint(65535 * np.clip(shares, 0, 1)).astype(np.uint16),
+        "share": np.rint(65535 * np.clip(shares[:, rows], 0, 1)).astype(np.uint16),
         "belief": np.rint(255 * np.clip(summed, 0, 1) ** 0.25).astype(np.uint8),
-        "tau": (period or 1) * (followed @ np.arange(longest)) / followed.sum(axis=1),
+        "followed": np.column_stack([best, shares.max(axis=1)]),
+        "tau": (period or 1) * (of_best @ np.arange(longest)) / of_best.sum(axis=1),
     }
 
 
@@ -221,7 +227,10 @@ def curves(
 
     With `params`, they are the plane's commands.
     """
-    low, span = values.min(axis=0), np.ptp(values, axis=0)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # a column without any number
+        low, high = (np.nan_to_num(f(values, axis=0)) for f in (np.nanmin, np.nanmax))
+    span = high - low
     scale = "each from its lowest to its highest value"
     if params is not None:
         low = np.array([0, 0, params.low, 0, 0])
@@ -235,7 +244,7 @@ def curves(
         "names": [name.replace("_", " ") for name in names[:_CURVES]],
         "low": low.tolist(),
         "span": span.tolist(),
-        "least": float(min(0.0, scaled[:, :_CURVES].min()) - 0.05),
+        "least": float(min(0.0, np.nan_to_num(scaled[:, :_CURVES]).min()) - 0.05),
         "scale": scale,
     }
 

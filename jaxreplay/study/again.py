@@ -78,13 +78,26 @@ def find_and_run_again(
             raise ConfigError(str(error)) from None
         config = config_of(dataset)
     k = find_run(config, run, dataset)
-    records = demonstrations(config, folder)
-    if isinstance(study, Path) and content_of(records) != read_manifest(study)["demonstrations"]:
-        raise ConfigError(
-            f"the demonstrations of {study} are not those with which it was run: put the file back "
-            "as it was"
-        )
+    if isinstance(study, Path):
+        records = taught_in(study, config)
+    else:
+        records = demonstrations(config, folder)
     return k, run_again(config, records, k)
+
+
+def taught_in(folder: Path, config: StudyConfig) -> Demonstrations:
+    """Return the records with which the study in a folder was run.
+
+    Raises:
+        ConfigError: they have changed since.
+    """
+    records = demonstrations(config, folder)
+    if content_of(records) != read_manifest(folder)["demonstrations"]:
+        raise ConfigError(
+            f"the demonstrations of {folder} are not those with which it was run: put the file "
+            "back as it was"
+        )
+    return records
 
 
 def run_again(

@@ -1,6 +1,7 @@
 """`jaxreplay explore`: its server, and its page in a real browser."""
 
 import http.client
+import json
 import os
 import re
 import signal
@@ -10,15 +11,24 @@ from time import monotonic
 
 import numpy as np
 import pytest
+from line_world import of_line
 from study_helpers import beginnings
 
 from jaxreplay import cli, open_study, read
 from jaxreplay.errors import ConfigError
 from jaxreplay.explore import drive
 from jaxreplay.explore.cells import picture
-from jaxreplay.explore.live import asked, titled, values_of
+from jaxreplay.explore.live import (
+    CancelledError,
+    asked,
+    controls,
+    stream,
+    titled,
+    values_of,
+)
 from jaxreplay.plane.params import PlaneParams
 from jaxreplay.study.config import load_config
+from jaxreplay.study.demonstrations import demonstrations
 
 STUDY = """
 theta_tau = 0.05
@@ -120,8 +130,47 @@ def test_cells_and_values_are_those_of_the_study(folder):
     assert titled(config, values) == "θ_I 0.001, position 1, repeat 0"
     one, k = asked(config, {**values, "theta_i": 0.2, "cube": [0.33, 0.0]})
     assert values_of(one, k) == {**values, "theta_i": 0.2, "cube": [0.33, 0.0]}
+    more, k = asked(config, {**values, "repeat": 7})
+    assert values_of(more, k) == {**values, "repeat": 7}
     with pytest.raises(ConfigError, match="theta_i"):
         asked(config, {**values, "theta_i": 2})
+
+
+def test_what_can_be_changed_has_an_effect_and_includes_the_studys_values(folder):
+    config = load_config(folder / "study.toml", ["sigma_proximeter_1=0.3", "motor_unit=0.03"])
+    found = {each["name"]: each for each in controls(config, values_of(config, 0))}
+    assert {"sigma_camera", "sigma_proximeters", "sigma_proximeter_1"} < found.keys()
+    assert "sigma" not in found
+    assert found["motor_unit"]["choices"][-1] == 0.03
+    assert found["theta_i"]["range"][0] == -6
+    config = load_config(folder / "study.toml", ["axis.theta_i=[1e-25, 0.0]"])
+    assert controls(config, values_of(config, 0))[0]["range"][0] == -25
+
+
+def test_slow_keys_still_turn_and_orders_are_keys(monkeypatch):
+    hand, unit = driver(monkeypatch, []), PlaneParams().motor_unit
+    for keys, units in (
+        (["w"], [3, 3]), (["w", "shift"], [1, 1]), (["A", "Shift"], [-1, 1]),
+        (["arrowup", "d", "shift"], [2, 1]), (["w", "s"], [0, 0]),
+    ):  # fmt: skip
+        hand.press(keys, [])
+        np.testing.assert_allclose(hand.command()[:2], unit * np.array(units))
+
+
+def test_an_environments_run_is_sent_with_its_pictures_and_can_be_ended(tmp_path):
+    line = of_line(tmp_path)
+    config, sent = load_config(line), []
+    values = values_of(config, 0)
+    one, k = asked(config, {**values, "theta_i": 0.3})
+    records = demonstrations(one, tmp_path)
+    run = stream(one, records, k, "a title", sent.append, lambda: True)
+    assert run.values["θ_I"] == 0.3
+    first, *steps = sent
+    assert first["run"]["title"] == "a title"
+    assert sum(len(step["pictures"]) for step in steps) == len(run.commands)
+    json.dumps(sent, allow_nan=False)
+    with pytest.raises(CancelledError):
+        stream(one, records, k, "", sent.append, lambda: False)
 
 
 def driver(monkeypatch, sent):
@@ -149,14 +198,14 @@ def test_demonstrations_by_hand_are_records_that_a_study_replays(tmp_path, monke
 
         hand.demonstrate(go)
     assert sent[-1]["ending"] == "kept, the cube is not lifted"
-    assert sent[-1]["note"] == "5 kept: 5 s, 5 s, 5 s, 5 s, 5 s"
+    assert sent[-1]["note"] == "kept; 5 kept: 5 s, 5 s, 5 s, 5 s, 5 s"
     assert "saved 5 in mine.npz" in hand.save("mine")
     for name, message in (("mine", "exists"), ("../mine", "give a name of letters")):
         with pytest.raises(ConfigError, match=message):
             hand.save(name)
     records = read("mine.npz")
     _, commands = records.sequences()
-    assert {len(rows) for rows in commands} == {49}
+    assert {len(rows) for rows in commands} == {50}
     unit, p = PlaneParams().motor_unit, PlaneParams()
     np.testing.assert_allclose(commands[0][10], [unit, unit, p.low, p.scanning_tilt, 0], rtol=1e-6)
     np.testing.assert_allclose(commands[1][10, :2], 3 * unit, rtol=1e-6)
@@ -229,7 +278,7 @@ def test_a_study_is_seen_asked_and_driven_in_a_browser(served, browser, folder):
     tab.keyboard.up("w")
     tab.keyboard.press("r")
     tab.keyboard.press("Enter")
-    until(tab, lambda: said.inner_text().startswith("1 kept: "))
+    until(tab, lambda: said.inner_text().startswith("kept; 1 kept: "))
     tab.locator("input[name=name]").fill("by_hand")
     tab.get_by_role("button", name="Save").click()
     until(tab, lambda: "saved 1 in by_hand.npz" in said.inner_text())

@@ -89,6 +89,17 @@ def test_a_jump_is_to_a_record_twice_as_probable_as_the_one_followed():
     assert [followed.jumps(p) for p in shares] == [False, False, True, False, False, True]
 
 
+def test_samples_not_measured_are_drawn_as_gaps():
+    run = trace()
+    run.observations[:3, 0] = np.nan
+    run.observations[:, 1] = np.nan
+    found, arrays = about(page(run))
+    scales = found["run"]["sensors"]
+    assert scales["low"][0] == pytest.approx(run.observations[3:, 0].min())
+    assert (scales["low"][1], scales["span"][1]) == (0, 1)
+    assert np.isnan(arrays["sensors"][:3, 0]).all()
+
+
 @pytest.mark.parametrize(("steps", "n", "longest"), [(5000, 8, 90), (700, 80, 500)])
 def test_a_page_of_a_long_run_or_of_many_records_stays_small(steps, n, longest):
     run = long_run(steps, n, longest)
