@@ -58,7 +58,7 @@ def main():
     """Run what is missing, print the table and draw the figure."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--only", nargs="+", choices=CHANGES, default=CHANGES, metavar="WHAT")
-    parser.add_argument("--sets", type=int, default=10, help="of demonstrations, seeds 1 to N")
+    parser.add_argument("--sets", type=int, default=5, help="of demonstrations, seeds 1 to N")
     parser.add_argument("--workers", type=int)
     parser.add_argument("--out", type=Path, default=Path("results/causes"))
     options = parser.parse_args()

@@ -35,8 +35,16 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("folder", type=Path, help="of large.sh, with a study for each seed")
     parser.add_argument("--out", type=Path, default=Path("results/sets.png"))
+    parser.add_argument(
+        "--pooled", action="store_true", help="draw a map as `jaxreplay plot` does, of all sets"
+    )
     options = parser.parse_args()
-    figure(open_sets(options.folder), options.out)
+    study = open_sets(options.folder)
+    if options.pooled:
+        draw = jr.plot_map if study.sizes["position"] > 50 else jr.plot
+        draw(pooled(study)).savefig(options.out, dpi=150)
+    else:
+        figure(study, options.out)
     print(options.out)
 
 
@@ -51,6 +59,11 @@ def open_sets(folder: Path) -> xr.Dataset:
         raise FileNotFoundError(f"no study in the folders of {folder}: run experiments/large.sh")
     studies = [jr.open_study(folder / str(seed)) for seed in seeds]
     return xr.concat(studies, xr.Variable("seed", seeds), combine_attrs="override", join="exact")
+
+
+def pooled(study: xr.Dataset) -> xr.Dataset:
+    """Return a study with the runs of all sets as repeats."""
+    return study.squeeze("repeat", drop=True).rename(seed="repeat")
 
 
 def by_set(values: xr.DataArray) -> np.ndarray:

@@ -55,6 +55,18 @@ def test_success_is_drawn_for_each_set_and_reading(tmp_path):
     assert matplotlib.image.imread(tmp_path / "sets.png").std() > 0
 
 
+def test_controllers_are_drawn_against_the_number_of_demonstrations(tmp_path):
+    shape = 3, 2, 3, 4
+    outcome = np.broadcast_to(np.array([S, S, F, S]), shape)
+    dims = ("seed", "controller", "records", "position")
+    names = {"controller": ["filter", "tape"], "records": ["2 drawn", "4 drawn", "20 drawn"]}
+    runs = xr.Dataset({"outcome": (dims, outcome)}, {"jump": "own_tau", **names})
+    sets.figure(runs, tmp_path / "few.png")
+    assert matplotlib.image.imread(tmp_path / "few.png").std() > 0
+    repeats = sets.pooled(runs.expand_dims("repeat"))
+    assert repeats.outcome.sizes == {"repeat": 3, "controller": 2, "records": 3, "position": 4}
+
+
 def test_findings_compare_runs_of_the_same_set():
     outcome = [[[S, F], [S, S]], [[F, F], [S, F]], [[S, F], [S, S]]]
     runs = sets_of(outcome, stall=np.full((3, 2, 2), "", "<U6"))
