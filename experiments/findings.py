@@ -179,6 +179,8 @@ def plateau(study: xr.Dataset) -> Iterator[Row]:
 def rates(row: Row) -> str:
     """Return the rate of success, and its difference to that of the others."""
     text = f"S {percent(success(row.runs))} %"
+    if len(each := 100 * by_set(won(row.runs))) > 1:
+        text += f", by set {each.min():.0f}–{each.max():.0f}"
     if row.others is not None:
         text += f", difference {points(gain(row.runs, row.others))}"
     return text

@@ -1,11 +1,13 @@
 #!/bin/sh
 # Run every experiment in its large size: with ten sets of demonstrations, and for each of them one
 # run at each of 30 positions (of grid, sigma and noise, which have many cells, five sets and six
-# positions; of outside, three sets and 130). Some three hours on two cores. Run again, it continues
-# where it was stopped; options are those of `jaxreplay run`.
+# positions; of outside, three sets and 130). Some two and a half hours on two cores. Run again, it
+# continues where it was stopped; options are those of `jaxreplay run`.
 #
 #     sh experiments/large.sh --workers 2
 #     SEEDS="1 2 3" sh experiments/large.sh  # fewer sets, or others
+#     OUT=again AHEAD=0.263,0.387 ASIDE=-0.087,0.087 SEEDS="11 12 13" sh experiments/large.sh
+#     python experiments/findings.py --against results/again  # compares with other positions
 
 set -e
 cd "$(dirname "$0")/.."
@@ -17,9 +19,9 @@ at() { # positions ahead and aside, sets, a study, and what differs from its fil
     shift 4
     for seed in $sets; do
         # shellcheck disable=SC2086 # several words
-        .venv/bin/jaxreplay run "experiments/$name.toml" --out "results/large/$name$suffix/$seed" \
-            --set seed="$seed" --set repeats=1 --set "positions.x.linspace=[0.26,0.39,$ahead]" \
-            --set "positions.y.linspace=[-0.09,0.09,$aside]" "$@" $options
+        .venv/bin/jaxreplay run "experiments/$name.toml" --out "results/${OUT:-large}/$name$suffix/$seed" \
+            --set seed="$seed" --set repeats=1 --set "positions.x.linspace=[${AHEAD:-0.26,0.39},$ahead]" \
+            --set "positions.y.linspace=[${ASIDE:--0.09,0.09},$aside]" "$@" $options
     done
 }
 

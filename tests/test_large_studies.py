@@ -72,8 +72,8 @@ def test_findings_compare_runs_of_the_same_set():
     runs = sets_of(outcome, stall=np.full((3, 2, 2), "", "<U6"))
     rows = list(findings.by(first="theta_i")(runs))
     assert [row.name for row in rows] == ["θ_I 0.1", "θ_I 0.01"]
-    assert findings.rates(rows[0]) == "S 33 (0–100) %"
-    assert findings.rates(rows[1]) == "S 83 (12–100) %, difference +50 (+50, +50)"
+    assert findings.rates(rows[0]) == "S 33 (0–100) %, by set 0–50"
+    assert findings.rates(rows[1]) == "S 83 (12–100) %, by set 50–100, difference +50 (+50, +50)"
     assert findings.p_value(rows[0], rows[0]) == 1
     runs.stall.values[1, 0] = "fixed", "cyclic"
     whole = findings.Row("all", runs)
