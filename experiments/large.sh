@@ -12,7 +12,7 @@
 set -e
 cd "$(dirname "$0")/.."
 options="$*" suffix= ten="${SEEDS:-1 2 3 4 5 6 7 8 9 10}" five="${SEEDS:-1 2 3 4 5}"
-but="${SEEDS:-1 2 3 4 5 7 9 10 11 14}" # with 6, 8, 12, 13 the teacher fails on a weak battery
+but="${SEEDS:-1 2 3 4 5 7 9 10 11}" # with 6, 8, 12, 13, 14 the teacher fails on a weak battery
 
 at() { # positions ahead and aside, sets, a study, and what differs from its file
     ahead=$1 aside=$2 sets=$3 name=$4
@@ -21,7 +21,7 @@ at() { # positions ahead and aside, sets, a study, and what differs from its fil
         # shellcheck disable=SC2086 # several words
         .venv/bin/jaxreplay run "experiments/$name.toml" --out "results/${OUT:-large}/$name$suffix/$seed" \
             --set seed="$seed" --set repeats=1 --set "positions.x.linspace=[${AHEAD:-0.26,0.39},$ahead]" \
-            --set "positions.y.linspace=[${ASIDE:--0.09,0.09},$aside]" "$@" $options
+            --set "positions.y.linspace=[${ASIDE:--0.09,0.09},$aside]" "$@" $options || [ $? -eq 2 ] # such as a teacher that fails with a seed: go on
     done
 }
 
@@ -37,7 +37,7 @@ coarse() { # the grid with fewer θ_I and θ_τ
 study theta_i
 study dithering --set "axis.theta_i=[0.1]" --set "axis.motor_unit=[0.005,0.01,0.02]"
 at 5 6 "$but" battery --set "axis.theta_i=[0.1]" --set "axis.battery=[0.2,0.6,1.0]"
-study interpolation --set "axis.theta_i=[0.316227766017]" --set "axis.records=[2,4,6,10,20]"
+study interpolation --set "axis.theta_i=[0.316227766017,0.1]" --set "axis.records=[2,4,6,10,20]"
 study light --set "axis.theta_i=[0.1]"
 study jumps
 study sensors
