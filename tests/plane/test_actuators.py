@@ -22,7 +22,7 @@ from jaxreplay.plane.actuators import Servo, Settings, track_speeds
 def speeds(command, n, unit=UNIT, dithering=True, noise=0.0, params=EXACT):
     """Speeds `[n, 2]` of n pairs of tracks for one command."""
     chance = np.random.default_rng(0).uniform(size=(n, 2))
-    settings = Settings(*(np.full(n, v, float) for v in (unit, dithering, 1, 1, 0, 0, 0, 0)))
+    settings = Settings(*(np.full(n, v, float) for v in (unit, dithering, 1, 1, *5 * [0])))
     gain, noise = np.ones((n, 2)), np.full((n, 2), noise)
     return track_speeds(params, settings, gain, np.tile(command, (n, 1)), chance, noise)
 
