@@ -142,8 +142,8 @@ class Session:
             send({"kind": "end", "ending": run.ending, "note": ""})
 
     def _robot(self) -> PlaneParams:
-        """Return the robot of the study's first run."""
-        values = values_of(self._config, 0)
+        """Return the robot of the study's first run, which nobody pushes."""
+        values = values_of(self._config, 0) | {"push": 0.0}
         return replace(self._config.plane, **{name: values[name] for name in SETTINGS})
 
     def _taught(self, config: StudyConfig, k: int) -> Demonstrations:

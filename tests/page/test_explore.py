@@ -269,6 +269,26 @@ def test_a_study_is_seen_asked_and_driven_in_a_browser(served, browser, folder):
     tab.keyboard.press("End")
     until(tab, lambda: tab.keyboard.press("End") or "End: " in tab.locator("#reading").inner_text())
     assert tab.locator("#past canvas").screenshot() != before
+    # … and with the cube elsewhere: from 30 cm ahead and 5 to the left it is dragged straight ahead
+    tab.keyboard.press("Home")
+    box, area = tab.locator("#world canvas").bounding_box(), PlaneParams().area
+    scale = min(
+        (box["width"] - 48) / (area[1] - area[0]), (box["height"] - 36) / (area[3] - area[2])
+    )
+    left = box["x"] + 34 + (box["width"] - 48 - scale * (area[1] - area[0])) / 2
+
+    def at(x, y):
+        return left + scale * (x - area[0]), box["y"] + 4 + scale * (area[3] - y)
+
+    before = tab.locator("#world canvas").screenshot()
+    tab.mouse.move(*at(0.3, 0.05))
+    tab.mouse.down()
+    tab.mouse.move(*at(0.33, 0.02), steps=3)
+    tab.mouse.move(*at(0.36, -0.1), steps=3)
+    assert tab.locator("#world canvas").screenshot() != before
+    tab.mouse.up()
+    until(tab, lambda: tab.evaluate("() => frames.length > 0 && frames[0].cube[0] > 0.35"))
+    assert tab.evaluate("() => frames[0].cube[1]") == pytest.approx(-0.1, abs=0.01)
     # Drive: by key events, until it is kept and saved
     tab.get_by_role("button", name="Drive").click()
     tab.get_by_role("button", name="Start").click()
