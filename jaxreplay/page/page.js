@@ -352,7 +352,10 @@ function askView() {
       const [min, max, step] = range;
       input = make("input", { type: "range", min, max, step });
       input.value = log ? Math.log10(Math.max(values[name], 10 ** min)) : values[name];
-      const tell = () => { shown.textContent = `${+(+values[name]).toPrecision(2)}`; };
+      const tell = () => {
+        const value = +(+values[name]).toPrecision(2);
+        shown.textContent = value && value < 0.001 ? value.toExponential() : value;
+      };
       input.oninput = () => { values[name] = log ? 10 ** input.value : +input.value; tell(); again(); };
       tell();
     }

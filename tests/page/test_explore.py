@@ -263,6 +263,10 @@ def test_a_study_is_seen_asked_and_driven_in_a_browser(served, browser, folder):
     # Ask: another θ_I, in the same world
     tab.get_by_role("button", name="Ask").click()
     assert tab.locator("input[name=theta_i]").input_value() == "-3"
+    shown = tab.locator("label", has=tab.locator("input[name=theta_i]")).locator("output")
+    assert shown.inner_text() == "0.001"
+    tab.locator("input[name=theta_i]").fill("-5")
+    assert shown.inner_text() == "1e-5"
     tab.locator("input[name=theta_i]").fill("-0.5")
     until(tab, lambda: "as asked for" in tab.locator("header").inner_text())
     until(tab, lambda: clock.inner_text() != "")
