@@ -21,7 +21,7 @@ def run(jump, over_lanes, monkeypatch):
     sequences = random_sequences(1, (120, 120, 90, 35))
     records = Records.from_sequences(*sequences)
     params = Params(np.array([0.0, 0.1, 1e-3]), np.full(B, 0.05), np.outer([0.5, 1, 2], SIGMA))
-    tracker = Tracker(records, params, Options(jump), windows=(32, 64))
+    tracker = Tracker(records, params, Options(jump), windows=(48,))
     zs = [passing(sequences[0][i], SIGMA, 40, seed=i) for i in range(B)]
     seen = []
     for t in range(40):
