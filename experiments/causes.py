@@ -9,6 +9,7 @@ What is stored in `--out` is not computed again. Intervals are over sets, 95 % (
 
 import argparse
 from functools import partial
+from itertools import product
 from pathlib import Path
 from textwrap import fill
 
@@ -78,25 +79,17 @@ def main():
     print(f"{options.out}: causes.png and causes.pdf")
 
 
-def cells_of(runs: xr.Dataset) -> list[tuple[str, xr.Dataset]]:
-    """Return the runs of each reading and θ_I, with a name."""
-    return [
-        (f"{jump}, θ_I {v:.2g}", runs.sel(jump=jump, theta_i=v))
-        for jump in JUMPS
-        for v in runs.theta_i.values
-    ]
-
-
 def table(runs: dict[str, xr.Dataset]) -> str:
     """Return the table: of each reading and θ_I a block, with a row for each change."""
     first, lines = runs.get(FIRST), []
-    for k, (cell, _) in enumerate(cells_of(next(iter(runs.values())))):
-        lines += ["", f"{cell:28}{'S, %':>14}{'− as it is':>18}{'Fs':>5}{'Fg':>5}{'Fb':>5}"]
+    for jump, v in product(JUMPS, next(iter(runs.values())).theta_i.values):
+        cell = {"jump": jump, "theta_i": v}
+        head = f"{jump}, θ_I {v:.2g}"
+        lines += ["", f"{head:28}{'S, %':>14}{'− as it is':>18}{'Fs':>5}{'Fg':>5}{'Fb':>5}"]
         for name, study in runs.items():
-            of = cells_of(study)[k][1]
-            change = "–" if first is None or name == FIRST else points(
-                gain(of, cells_of(first)[k][1].sel(seed=of.seed))
-            )  # fmt: skip
+            of, change = study.sel(cell), "–"
+            if first is not None and name != FIRST:
+                change = points(gain(of, first.sel(cell).sel(seed=of.seed)))
             counts = "".join(f"{int((of.outcome == code).sum()):5}" for code in ("Fs", "Fg", "Fb"))
             lines.append(f"{name:28}{percent(success(of)):>14}{change:>18}{counts}")
     return "\n".join(lines)

@@ -51,6 +51,7 @@ from jaxreplay.study.runs import records_of, runs_of, settings_of
 RESAMPLES = 2000
 DRIFT = 0.1  # of a sensor's range, at the end of a record
 SLOWER = 1.1
+EVIDENCES = ("log evidence", "… while it moves")  # scores that are no errors of commands
 
 
 class Cells(NamedTuple):
@@ -154,8 +155,7 @@ def scores_of(records: Records, params: Params, jump: str, chosen) -> dict[str, 
             for name, values in one.items():
                 found.setdefault(name, []).append(values)
     means = {name: np.concatenate(each).mean(axis=0) for name, each in found.items()}
-    evidences = list(means)[-2:]
-    return {n: m if n in evidences else -100 * np.sqrt(m) for n, m in means.items()}
+    return {n: m if n in EVIDENCES else -100 * np.sqrt(m) for n, m in means.items()}
 
 
 def predicted(records: Records, params: Params, jump: str, i: int, z, v):
@@ -248,7 +248,7 @@ def figure(cells: Cells, path: Path):
     with plt.rc_context({"font.size": 8, "axes.spines.top": False, "axes.spines.right": False}):
         drawn, panels = plt.subplots(2, 3, figsize=(8, 5), sharey=True, layout="constrained")
         for ax, (name, score) in zip(panels.flat, cells.scores.items(), strict=True):
-            of_commands = ax in panels.flat[:4]
+            of_commands = name not in EVIDENCES
             shown = -score if of_commands else score
             points = ax.scatter(
                 shown, success, s=14, c=cells.sigma, norm=LogNorm(), cmap="cividis",

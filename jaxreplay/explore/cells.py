@@ -25,12 +25,12 @@ def picture(study: xr.Dataset) -> dict[str, Any]:
     rows = [""]
     for names in labels[:-1]:
         rows = [f"{row}, {name}".removeprefix(", ") for row in rows for name in names]
-    cells, index = [], 0
+    codes, cells, index = meanings(study), [], 0
     for row in outcome:
         cells.append([])
         for runs in row:
             done = [code for code in runs if code]
-            counts = {code: done.count(code) for code in meanings(study) if code in done}
+            counts = {code: done.count(code) for code in codes if code in done}
             won = counts.get("S", 0)
             text = ", ".join(f"{code} {n}" for code, n in counts.items())
             cells[-1].append(
@@ -46,7 +46,7 @@ def picture(study: xr.Dataset) -> dict[str, Any]:
         "rows": rows,
         "columns": labels[-1] if labels else [""],
         "cells": cells,
-        "meanings": meanings(study),
+        "meanings": codes,
     }
 
 

@@ -75,9 +75,6 @@ function image(columns, n, value) {
   c.putImageData(pixels, 0, 0);
   return canvas;
 }
-const paste = (c, picture, { x, y, w, h }) => {
-  c.imageSmoothingEnabled = false; c.drawImage(picture, x, y, w, h);
-};
 const records = () => ({ y: [-0.5, run.rows.length - 0.5], names: run.rows });
 
 let dragged = null, place = null; // the cube while it is dragged, and where a pixel is
@@ -124,7 +121,8 @@ function drawNow() {
   const { belief } = frames[t], N = run.rows.length, columns = belief.length / N;
   const label = `moment τ, ${run.unit}`;
   const { c, X, Y, area } = panel("now", { x: [0, run.taus], ...records(), label });
-  paste(c, image(columns, N, (i, k) => belief[k * columns + i]), area);
+  c.imageSmoothingEnabled = false;
+  c.drawImage(image(columns, N, (i, k) => belief[k * columns + i]), area.x, area.y, area.w, area.h);
   run.ends.forEach((x, k) => line(c, [[X(x), Y(k - 0.5)], [X(x), Y(k + 0.5)]], css("--soft")));
 }
 let stripes, painted; // p(I) of the steps so far, a column each
