@@ -22,7 +22,7 @@ from jaxreplay.plane.params import PlaneParams
 from jaxreplay.plane.sensors import Pose, camera, proximeters
 from jaxreplay.plane.stall import STALL_SECONDS, stall
 from jaxreplay.plane.start import push_speeds, start_of
-from jaxreplay.plane.world import World
+from jaxreplay.plane.worlds import Worlds
 
 METADATA = {"render_modes": ["rgb_array"], "render_fps": 10}
 
@@ -98,7 +98,7 @@ class PlaneVectorEnv(gymnasium.vector.VectorEnv):
             for space in (self.single_observation_space, self.single_action_space)
         )
         self._servos = elevation_servo(p), tilt_servo(p)
-        self._worlds: dict[int, World] = {}  # by slot; empty slots rest
+        self._worlds = Worlds(p, n)  # empty slots rest
         self.pose = Pose(np.zeros((n, 3)), np.zeros((n, 3)), np.full(n, p.high), np.zeros(n))
         self._set_points = np.zeros((n, 2))
         self._gain, self._push = np.ones((n, 2)), np.zeros((n, 3))
@@ -159,7 +159,7 @@ class PlaneVectorEnv(gymnasium.vector.VectorEnv):
         for current, new in zip(self._settings, settings, strict=True):
             current[b] = new[b]
         start = start_of(self._settings, b, seed, cube)
-        self._worlds[b] = World(p, start.cube, start.robot)
+        self._worlds.put(b, start.cube, start.robot)
         self._gain[b], self.pose.robot[b], self.pose.cube[b], self._push[b] = start
         self.pose.elevation[b], self.pose.tilt[b] = p.high, 0.0
         self._set_points[b] = p.high, 0.0
@@ -197,9 +197,7 @@ class PlaneVectorEnv(gymnasium.vector.VectorEnv):
         speeds += push_speeds(self._push, self._step * p.control_period)
         forward = speeds.mean(axis=1)
         turn = (speeds[:, 1] - speeds[:, 0]) / p.track_separation
-        for b, world in self._worlds_in(going):
-            moved = world.advance(forward[b], turn[b])
-            self.pose.robot[b], self.pose.cube[b] = moved[:3], moved[3:]
+        self._worlds.advance(going, forward, turn, self.pose)
         self._grasp(going & (actions[:, 4] > 0.5), going & (actions[:, 4] <= 0.5))
 
         at = self._step % self._trail.shape[1]
@@ -241,10 +239,6 @@ class PlaneVectorEnv(gymnasium.vector.VectorEnv):
             picture(self.params, pose, held) for pose, held in zip(each, self.held, strict=True)
         )
 
-    def _worlds_in(self, mask: np.ndarray) -> list[tuple[int, World]]:
-        """Return the slots in the mask `[B]`, each with its world."""
-        return [(b, self._worlds[b]) for b in np.flatnonzero(mask).tolist()]
-
     def _move_gripper(self, actions: np.ndarray, going: np.ndarray) -> None:
         """Move elevation and tilt of the worlds that are simulated (`going`, `[B]`)."""
         p, pose = self.params, self.pose
@@ -260,7 +254,7 @@ class PlaneVectorEnv(gymnasium.vector.VectorEnv):
                 moved = np.maximum(moved, floor)
             position[going], self._set_points[going, k] = moved[going], wanted[going]
         above = (pose.elevation - p.head >= p.side) & ~self.held
-        for b, world in self._worlds_in(going & (above != self._gripper_above)):
+        for b, world in self._worlds.of(going & (above != self._gripper_above)):
             world.set_gripper_above(above[b])
         self._gripper_above[going] = above[going]
 
@@ -281,7 +275,7 @@ class PlaneVectorEnv(gymnasium.vector.VectorEnv):
         lost = off | slipped | turned | (pose.tilt >= p.grasping_tilt)
         lost |= raised & tips(p, holding_force(p, at, 0.0))
         lost &= self.held & going
-        for _, world in self._worlds_in(lost):
+        for _, world in self._worlds.of(lost):
             world.release()
         self.held &= ~lost
 
@@ -289,14 +283,14 @@ class PlaneVectorEnv(gymnasium.vector.VectorEnv):
         ready &= pose.elevation < p.low + p.side / 2
         ready &= (gap < p.magnet_gap) & (gap > -p.side / 2)
         ready &= force > 0
-        for b, world in self._worlds_in(ready):
+        for b, world in self._worlds.of(ready):
             world.attach(force[b], force[b] * p.magnet_radius)
             self._grasped_at[b] = lateral[b], pose.elevation[b]
         self.alignment_error[ready] = np.abs(lateral[ready])
         self.held |= ready
 
         off_floor = self.held & (pose.elevation > self._grasped_at[:, 1])
-        for b, world in self._worlds_in(off_floor != self._off_floor):
+        for b, world in self._worlds.of(off_floor != self._off_floor):
             world.set_cube_off_floor(off_floor[b])
         self._off_floor = off_floor
 

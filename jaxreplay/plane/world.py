@@ -110,6 +110,18 @@ class World:
             self._space.step(self._period / self._substeps)
         return *robot.position, robot.angle, *cube.position, cube.angle
 
+    def place(self, pose: np.ndarray, motion: np.ndarray) -> None:
+        """Put the robot at x, y (m) and angle (rad), moving at m/s, m/s and rad/s, `[3]` each."""
+        (x, y, angle), (*velocity, turn) = pose.tolist(), motion.tolist()
+        self.robot.position, self.robot.angle = (x, y), angle
+        self.robot.velocity, self.robot.angular_velocity = (velocity[0], velocity[1]), turn
+
+    def motion(self) -> tuple[tuple[float, ...], bool]:
+        """Return the robot's velocity (m/s, m/s) and rate (rad/s), and whether the cube stands."""
+        robot, cube = self.robot, self.cube
+        stands = cube.velocity == (0.0, 0.0) and cube.angular_velocity == 0.0
+        return (*robot.velocity, robot.angular_velocity), stands
+
     def set_gripper_above(self, above: bool) -> None:
         """Let the gripper pass over the cube if it is above it; else let the two collide."""
         self._gripper.filter = _PASSES if above else _COLLIDES
