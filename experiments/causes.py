@@ -67,12 +67,13 @@ def main():
         parser.error("--sets must be at least 1")
     keep_compiled()
     workers = partial(local_workers, options.workers) if options.workers else None
-    for name in options.only:
+    folders = {name: options.out / name.replace("/", " per ") for name in options.only}
+    for name, folder in folders.items():
         for seed in range(1, options.sets + 1):
             config = load_config(STUDY, [*SIZE, f"seed={seed}", *CHANGES[name]])
-            run_study(config, options.out / name / f"{seed}", workers=workers)
+            run_study(config, folder / f"{seed}", workers=workers)
         print(f"{name}: done", flush=True)
-    runs = {name: open_sets(options.out / name) for name in options.only}
+    runs = {name: open_sets(folder) for name, folder in folders.items()}
     print(table(runs))
     for suffix in ("png", "pdf"):
         figure(runs, options.out / f"causes.{suffix}")

@@ -119,11 +119,11 @@ def test_the_large_sizes_are_listed_in_one_file(tmp_path):
 
 LARGE = {
     "theta_i": 2 * 10 * 300, "interpolation": 2 * 5 * 300, "dithering": 2 * 3 * 300,
-    "battery": 3 * 270, "light": 2 * 300, "jumps": 4 * 300, "sensors": 9 * 300,
+    "battery": 3 * 300, "light": 2 * 300, "jumps": 4 * 300, "sensors": 9 * 300,
     "outside": 2 * 130 * 3, "grid": 4 * 3 * 7 * 30, "sigma": 7 * 7 * 30, "noise": 4 * 7 * 30,
     "rivals": 2 * 7 * 300, "rivals_records": 5 * 4 * 300, "rivals_push": 3 * 4 * 300,
     "interpolation_same_tau": 5 * 300, "light_same_tau": 2 * 300,
-    "dithering_same_tau": 2 * 3 * 300, "battery_same_tau": 3 * 270, "grid_same_tau": 4 * 3 * 7 * 30,
+    "dithering_same_tau": 2 * 3 * 300, "battery_same_tau": 3 * 300, "grid_same_tau": 4 * 3 * 7 * 30,
 }  # fmt: skip
 
 
