@@ -20,6 +20,7 @@ from jaxreplay.study.config import load_config
 from jaxreplay.study.demonstrations import record
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "experiments"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "experiments/benchmarks"))
 
 import causes
 import circle
@@ -28,6 +29,7 @@ import in_step
 import loop
 import pieces
 import plain_filter
+import plane_step
 import stalls
 import starts
 import tuning
@@ -263,3 +265,11 @@ def test_a_point_retraces_a_path_and_is_pushed_once():
         assert not terminated.any()
     assert truncated.all()
     np.testing.assert_allclose(off, [[0, 0]] * 2 + [[0, 0.5]] * 5, atol=1e-12)
+
+
+def test_the_plane_sees_what_a_plain_loop_over_pymunk_sees():
+    plain, ours = plane_step.Plain(16, vectorised=False).step, plane_step.ours(16)
+    for _ in range(60):
+        expected, seen = plain(), ours()
+    np.testing.assert_allclose(seen, expected, atol=1e-3)
+    assert (seen[:, 1:] > 0).any()

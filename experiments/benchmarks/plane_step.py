@@ -8,9 +8,10 @@ loop. Medians of several rounds, in which the rivals take turns.
   called, servos and camera computed with scalars, proximeters by pymunk's own segment queries
   (`Space.segment_query_first`), a ray at a time.
 - **plain loop, our sensors**: the same, but the sensors of all worlds computed at once.
-- **jaxreplay**: `PlaneVectorEnv.step`.
+- **jaxreplay**: `PlaneVectorEnv.step`, which asks pymunk only where something may touch or slip.
 
-All rivals step the same spaces at the same substep; their observations are compared first.
+All rivals step the same spaces at the same substep. Their observations are compared first: a few
+differ by some 0.005, as pymunk solves several contacts in the order in which it found them.
 """
 
 import math
@@ -73,12 +74,12 @@ class Plain:
         for k, speed in ((0, P.elevation_speed), (1, P.tilt_speed)):
             hand[k] += max(-speed * running, min(speed * running, COMMAND[2 + k] - hand[k]))
         heading = world.robot.angle + turn * P.control_period / 2
-        world.tracks.velocity = forward * math.cos(heading), forward * math.sin(heading)
-        world.tracks.angular_velocity = turn
+        world._tracks.velocity = forward * math.cos(heading), forward * math.sin(heading)
+        world._tracks.angular_velocity = turn
         solid = hand[0] - P.head < P.side
-        world.gripper.filter = pymunk.ShapeFilter(categories=2, mask=0xFFFFFFFF if solid else 0)
+        world._gripper.filter = pymunk.ShapeFilter(categories=2, mask=0xFFFFFFFF if solid else 0)
         for _ in range(P.substeps):
-            world.space.step(P.control_period / P.substeps)
+            world._space.step(P.control_period / P.substeps)
         robot, cube = world.robot, world.cube
         return (*robot.position, robot.angle), (*cube.position, cube.angle), hand[0], hand[1]
 
@@ -104,7 +105,7 @@ class Plain:
                     start[0] + P.proximeter_range * math.cos(angle),
                     start[1] + P.proximeter_range * math.sin(angle),
                 )
-                hit = world.space.segment_query_first(start, end, 0, CUBE_ONLY)
+                hit = world._space.segment_query_first(start, end, 0, CUBE_ONLY)
                 if hit is None or pitch > P.beam_steepest:
                     continue
                 distance = hit.alpha * P.proximeter_range
@@ -139,7 +140,7 @@ def main():
     for _ in range(STEPS):
         seen = {name: step() for name, step in steps.items()}
     for name, observed in seen.items():
-        np.testing.assert_allclose(observed, seen["jaxreplay"], atol=2e-3, err_msg=name)
+        np.testing.assert_allclose(observed, seen["jaxreplay"], atol=1e-2, err_msg=name)
 
     print(f"{P.substeps} physics steps a control step; thousand control steps of a world a second")
     print(f"{'worlds':>8}" + "".join(f"{name:>26}" for name in rivals))
