@@ -5,8 +5,6 @@ does not depend on how many others are simulated beside it. pymunk calls no Pyth
 physics step.
 """
 
-import math
-
 import numpy as np
 import pymunk
 from pymunk.constraints import Constraint, GearJoint, PivotJoint
@@ -92,29 +90,29 @@ class World:
         space.add(self.robot, hull, self._gripper, self.cube, box, self._tracks)
         space.add(*drive, *self._floor, *self._magnet)
 
-    def advance(self, forward: float, turn: float) -> tuple[float, ...]:
+    def advance(self, x: float, y: float, turn: float) -> tuple[float, ...]:
         """Simulate one control step.
 
         Args:
-            forward: mean speed of the two tracks, m/s.
-            turn: rate at which the tracks turn the robot to the left, rad/s.
+            x: velocity at which the tracks move the robot along x, m/s.
+            y: the same along y.
+            turn: rate at which they turn it to the left, rad/s.
 
         Returns:
             x, y (m) and angle (rad) of the robot, then of the cube.
         """
         robot, cube, tracks = self.robot, self.cube, self._tracks
-        heading = robot.angle + turn * self._period / 2  # the mean during the step
-        tracks.velocity = forward * math.cos(heading), forward * math.sin(heading)
-        tracks.angular_velocity = turn
+        tracks.velocity, tracks.angular_velocity = (x, y), turn
         for _ in range(self._substeps):
             self._space.step(self._period / self._substeps)
         return *robot.position, robot.angle, *cube.position, cube.angle
 
     def place(self, pose: np.ndarray, motion: np.ndarray) -> None:
         """Put the robot at x, y (m) and angle (rad), moving at m/s, m/s and rad/s, `[3]` each."""
-        (x, y, angle), (*velocity, turn) = pose.tolist(), motion.tolist()
-        self.robot.position, self.robot.angle = (x, y), angle
-        self.robot.velocity, self.robot.angular_velocity = (velocity[0], velocity[1]), turn
+        x, y, self.robot.angle = pose.tolist()
+        self.robot.position = x, y
+        x, y, self.robot.angular_velocity = motion.tolist()
+        self.robot.velocity = x, y
 
     def motion(self) -> tuple[tuple[float, ...], bool]:
         """Return the robot's velocity (m/s, m/s) and rate (rad/s), and whether the cube stands."""

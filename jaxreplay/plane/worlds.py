@@ -16,9 +16,10 @@ class Worlds:
 
     For most of a run the cube stands out of the robot's reach, and the robot moves as its tracks
     run. Then poses are computed here, for all such worlds at once, as pymunk would add them up (but
-    for the rounding of its joints, 1e-16). pymunk's robot is put there when it is needed again;
-    where several contacts follow, pymunk may then solve them in another order than if it had
-    simulated everything, which turns cubes by up to some 1e-3 rad, less than its own error.
+    for the rounding of its joints, 1e-16). pymunk's robot is put there when it is needed again. It
+    may then solve the points of a contact in another order than if it had simulated everything,
+    as it searches for them from where it last found some: a pushed cube turns by some 1e-3 rad more
+    or less.
     """
 
     def __init__(self, params: PlaneParams, n: int):
@@ -73,7 +74,7 @@ class Worlds:
         for b, world in self.of(mask & ~free):
             if self._behind[b]:
                 world.place(pose.robot[b], self._motion[b])
-            moved = world.advance(forward[b], turn[b])
+            moved = world.advance(*motion[b].tolist())
             pose.robot[b], pose.cube[b] = moved[:3], moved[3:]
             self._motion[b], self._stands[b] = world.motion()
             self._behind[b] = False

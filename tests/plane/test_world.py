@@ -38,10 +38,10 @@ def test_tracks_at_two_speeds_drive_an_arc_whose_radius_is_the_differential_driv
 def test_it_brakes_as_hard_as_its_tracks_grip(traction):
     world = World(replace(FINE, traction=traction), AWAY)
     for _ in range(100):
-        world.advance(0.3, 0)
+        world.advance(0.3, 0, 0)
     before = world.robot.position.x
     for _ in range(100):
-        world.advance(0, 0)
+        world.advance(0, 0, 0)
     assert world.robot.velocity.x == pytest.approx(0, abs=1e-9)
     way = 0.3**2 / (2 * traction * GRAVITY)
     assert world.robot.position.x - before == pytest.approx(way, abs=0.3 * PERIOD / FINE.substeps)
@@ -56,7 +56,7 @@ def test_a_cube_set_sliding_goes_as_far_as_friction_allows(direction, within):
     world = World(FINE, AWAY)
     world.cube.velocity = 0.3 * np.cos(direction), 0.3 * np.sin(direction)
     for _ in range(10):
-        *_, x, y, angle = world.advance(0, 0)
+        *_, x, y, angle = world.advance(0, 0, 0)
     slid = np.array([x, y]) - AWAY[:2]
     way = 0.3**2 / (2 * EXACT.floor_friction * GRAVITY)
     late = 0.3 * PERIOD / FINE.substeps
@@ -71,9 +71,9 @@ def test_a_cube_set_spinning_slows_down_at_the_rate_of_frictions_torque():
     world.cube.angular_velocity = 20
     friction = 0.3826 * EXACT.side * EXACT.floor_friction * GRAVITY * EXACT.cube_mass
     rate = friction / (EXACT.cube_mass * EXACT.side**2 / 6)
-    world.advance(0, 0)
+    world.advance(0, 0, 0)
     assert world.cube.angular_velocity == pytest.approx(20 - rate * PERIOD, rel=1e-3)
-    world.advance(0, 0)
+    world.advance(0, 0, 0)
     assert world.cube.angle == pytest.approx(20**2 / (2 * rate), rel=0.01)
     np.testing.assert_allclose(world.cube.position, AWAY[:2], atol=1e-6)
 
